@@ -7,8 +7,6 @@ Psi_i is h_i, or the last of its high-order barrier functions that no control ch
 program, of six controls and all slack, solved by PIQP. Nothing is checked: it can fail. `rta.filter` is verified.
 """
 
-from collections.abc import Mapping
-
 import numpy as np
 import piqp
 import torch
@@ -24,14 +22,13 @@ from rta.result import FilterResult
 
 NEVER = 3.0  # a row of length 1 with b above sqrt(6) cannot be broken, however large b is
 GIVEN = 1e-7  # slack, in the unit of its condition, that is more than rounding
-TOLERANCE = 1e-12  # of PIQP; beside slack with a weight of 1e12 the controls are a small part of the cost
-
+TOLERANCES = 1e-11, 1e-9  # of PIQP; beside much slack of weight 1e12 there are no digits for the first
 
 Conditions = tuple[Tensor, Tensor, Tensor]  # a (R, 6, B) and b (R, B) of BC = a u + b, and Psi (R, B)
 
 
 def hocbf(limit: Limit, c: Limits) -> Function:
-    """Psi_{d-1} of a limit of relative degree d: Psi_0 = h, Psi_j = dPsi_{j-1}/dt + k_j Psi_{j-1} (Eq. HOCBF)."""
+    """Returns Psi_{d-1} of relative degree d, Psi_0 = h and Psi_j = dPsi_{j-1}/dt + k_j Psi_{j-1} (Eq. HOCBF)."""
 
     def psi(x: Tensor, j: int = len(limit.gains) - 1) -> Tensor:
         if j == 0:
@@ -42,8 +39,8 @@ def hocbf(limit: Limit, c: Limits) -> Function:
     return psi
 
 
-def barrier_conditions(x: Tensor, c: Limits, limits: Mapping[str, Limit] = PAPER) -> Conditions:
-    """BC = L_f Psi + L_g Psi u + alpha(Psi) of every limit at states (16, B) (Eq. BC), with u in N and N m."""
+def barrier_conditions(x: Tensor, c: Limits, limits: dict[str, Limit] = PAPER) -> Conditions:
+    """Computes BC = L_f Psi + L_g Psi u + alpha(Psi) at states (16, B), with u in N and N m (Eq. BC, HOCBF)."""
     each_psi = [hocbf(limit, c) for limit in limits.values()]
     f, g = drift(x, c), control_matrix(x, c)
     psi, along_f, along_g = lie_derivatives(lambda y: torch.stack([each(y) for each in each_psi]), x, f, g)
@@ -52,10 +49,10 @@ def barrier_conditions(x: Tensor, c: Limits, limits: Mapping[str, Limit] = PAPER
 
 
 def asif(a: Tensor, b: Tensor, desired: Tensor, weights: list[float | None]) -> list[Tensor]:
-    """Solves the programs a (R, 6, n), b (R, n), desired (6, n) of n spacecraft; None: a row has no slack.
+    """Returns controls (6, n), slack (R, n) and `Status` (n,) of n programs; zeros of one that PIQP does not solve.
 
-    Returns controls (6, n), slack (R, n) and `Status` (n,); of an unsolved program zeros. Controls are in units of the
-    actuators' limits. PIQP's variables are controls and sqrt(w) delta, so that its cost is the identity.
+    Controls are in units of the actuators' limits, a (R, 6, n), b (R, n) and desired (6, n), too. A row of weight None
+    has no slack. PIQP's variables are controls and sqrt(w) delta, so that its cost is the identity.
     """
     soft = [i for i, weight in enumerate(weights) if weight is not None]
     unit = np.array([weight**-0.5 for weight in weights if weight is not None])
@@ -69,27 +66,26 @@ def asif(a: Tensor, b: Tensor, desired: Tensor, weights: list[float | None]) -> 
     box = np.array([1.0] * CONTROL_SIZE + [1e30] * len(soft))  # which is PIQP's infinity
     solver = piqp.DenseSolver()
     solver.settings.preconditioner_iter = 0  # rows are scaled already
-    for name in ("abs", "rel", "duality_gap_abs", "duality_gap_rel"):
-        setattr(solver.settings, f"eps_{name}", TOLERANCE)
     solver.setup(np.eye(size), np.ones(size), None, None, np.ones((m, size)), np.zeros(m), None, -box, box)
-    status = np.full(n, int(Status.UNSOLVED))
-    # a number that is not finite would stay in PIQP
-    for i in np.flatnonzero(np.isfinite(g.sum((1, 2)) + low.sum(1) + cost.sum(1))):
-        solver.update(c=cost[i], G=g[i].T, h_l=low[i])
-        if solver.solve() == piqp.PIQP_SOLVED:
-            answer[i], status[i] = solver.result.x, Status.HARD
+    finite, status = np.isfinite(g.sum((1, 2)) + low.sum(1) + cost.sum(1)), np.full(n, int(Status.UNSOLVED))
+    for tolerance in TOLERANCES:
+        for name in ("abs", "rel", "duality_gap_abs", "duality_gap_rel", "primal_inf"):
+            setattr(solver.settings, f"eps_{name}", tolerance)
+        for i in np.flatnonzero(finite & (status == Status.UNSOLVED)):  # others would spoil PIQP's workspace
+            solver.update(c=cost[i], G=g[i].T, h_l=low[i])
+            if solver.solve() == piqp.PIQP_SOLVED:
+                answer[i], status[i] = solver.result.x, Status.HARD
     slack = np.zeros((n, m))
-    slack[:, soft] = answer[:, CONTROL_SIZE:] * unit
-    slack[slack <= GIVEN] = 0.0
+    slack[:, soft] = np.where(answer[:, CONTROL_SIZE:] * unit > GIVEN, answer[:, CONTROL_SIZE:] * unit, 0.0)
     status[slack.any(1)] = Status.SLACK
-    found = answer[:, :CONTROL_SIZE].clip(-1.0, 1.0), slack, status
-    return [torch.from_numpy(part.T).to(a.device) for part in found]
+    control = answer[:, :CONTROL_SIZE].clip(-1.0, 1.0)
+    return [torch.from_numpy(part.T).to(a.device) for part in (control, slack, status)]
 
 
 class PaperFilter:
     """The filter of a task's constants; `names` are those of the limits."""
 
-    def __init__(self, c: Limits, limits: Mapping[str, Limit] = PAPER) -> None:
+    def __init__(self, c: Limits, limits: dict[str, Limit] = PAPER) -> None:
         self.c, self.limits, self.names = c, limits, tuple(limits)
 
     def values(self, x: Tensor) -> Tensor:

@@ -195,7 +195,7 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
             f"--resume {directory}: {done * before.batch:,} interactions are done; --interactions must be more"
         )
     run = Run(config, directory, seeds)
-    if moved:
+    if moved and trained.ppo.anneal:
         run.annealing = (
             f"\nlearning rate from {rate * (1 - done / before.updates):.3g} to "
             f"{rate * (1 - done / config.train.updates):.3g}, since it is annealed to 0 at {total:,} interactions now, "

@@ -181,8 +181,33 @@ def test_learning_rate_anneals_to_zero() -> None:
         ppo.update(batch_of(ppo), 1.5)
 
 
-def test_resumed_training_is_bit_identical() -> None:
-    parameters = PPOParameters(epochs=2, minibatch_size=16)
+def test_a_constant_learning_rate_does_not_anneal() -> None:
+    ppo = learner((1,), PPOParameters(epochs=1, minibatch_size=16, anneal=False, learning_rate=1e-3))
+    rates = []
+    for progress in (0.0, 0.5, 1.0):
+        ppo.update(batch_of(ppo), progress)
+        rates.append(ppo.optimiser.param_groups[0]["lr"])
+    assert rates == [1e-3] * 3
+
+
+def test_a_value_error_beyond_the_clip_teaches_nothing() -> None:
+    """Its gradient is that of the samples below the clip alone, as PyTorch's own formula has it."""
+    ppo = learner((1, 2), replace(ONE_MINIBATCH, value_clip=0.5, value_coefficient=1.0))
+    batch = batch_of(ppo)
+    error = ppo.value(batch["observation"]) - batch["return_"]
+    taught = (error.square() < 0.5).float()
+    assert 0.2 < taught.mean() < 0.8
+    (taught * error.square()).mean(1).sum().backward()
+    expected = [weight.grad.clone() for weight in ppo.value.parameters()]
+    ppo.optimiser.zero_grad()
+    ppo.update(batch, 1.0)
+    for weight, gradient in zip(ppo.value.parameters(), expected, strict=True):
+        torch.testing.assert_close(weight.grad, gradient)
+
+
+@pytest.mark.parametrize("kl_price", [0.0, 0.2])
+def test_resumed_training_is_bit_identical(kl_price: float) -> None:
+    parameters = PPOParameters(epochs=2, minibatch_size=16, kl_price=kl_price, kl_target=1e-4)
     ppo, resumed = learner((1, 2), parameters), learner((3, 4), parameters)
     ppo.update(batch_of(ppo), 0.0)
     file = io.BytesIO()

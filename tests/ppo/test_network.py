@@ -84,6 +84,24 @@ def test_initial_std_and_mean_at_zero_observation(std: float) -> None:
     assert not mean.any()
 
 
+def test_a_linear_last_layer_is_cut_off_at_the_bounds() -> None:
+    """The mean as it is, that of a deterministic flight within the actuators' limits; the log-std within its bounds."""
+    policy = Policy(
+        26, 6, generators(*SEEDS), log_std_bounds=(-2.0, 1.0), initial_std=0.5, tanh_outputs=False
+    )
+    mean, log_std = policy(torch.zeros(3, 1, 26))
+    torch.testing.assert_close(log_std.exp(), torch.full((3, 1, 6), 0.5))
+    assert not mean.any()
+    with torch.no_grad():
+        policy.network.layers[-1].weight.mul_(3000.0)
+    x = observations()
+    plain = policy.network(x)
+    mean, log_std = policy(x)
+    assert torch.equal(mean, plain[..., :6]) and (mean.abs() > 1.0).any()
+    assert torch.equal(log_std, plain[..., 6:].clamp(-2.0, 1.0)) and (plain[..., 6:].abs() > 2.0).any()
+    assert torch.equal(policy.mean_action(x), mean.clamp(-1.0, 1.0))
+
+
 def shaped(actions: list[float], power: float, dead_zone: float = 0.0) -> list[float]:
     policy = Policy(2, 1, generators(1), power=power, dead_zone=dead_zone)
     return policy.shaped(torch.tensor(actions)).tolist()

@@ -41,6 +41,10 @@ AGENTS: dict[str, Path | dict[str, Any]] = {  # shipped, or the tables of one th
     "shipped": SHIPPED,
     "beside a chief that tumbles": ROOT / "runs/reference/chiefs/satellite/rta/seed0/policy.pt",
     "linear": {"ppo": {"hidden": [7]}, "inspection": {"max_thrust": 2.0, "observed": list(OBSERVED[:3])}},
+    "linear last layer": {
+        "ppo": {"tanh_outputs": False, "hidden": [9]},
+        "inspection": {"observation_scales": [175.0, 0.866, 0.05]},
+    },
     "power and dead zone": {"ppo": {"action_power": 1.5, "action_dead_zone": 0.1}},
 }
 

@@ -1,0 +1,58 @@
+"""The paper's 13 h, one definition for everybody, against plain NumPy re-computations from the paper's final forms."""
+
+import numpy as np
+import pytest
+import torch
+
+from inspection.model.parameters import InspectionParameters
+from rta.constraints.names import PAPERS
+from rta.filter import SafetyFilter
+from rta.lie_derivatives import directional
+from rta.limits import PAPER, WEIGHT
+from rta.paper import PaperFilter
+from tests.oracles import PSM_TOLERANCE, C, orientation, paper, states, tensor
+from tests.support.states import at_rest
+
+
+def test_the_table_is_in_the_order_of_table_3() -> None:
+    assert tuple(PAPER) == PAPERS
+    assert [len(limit.gains) for limit in PAPER.values()] == [1] * 7 + [2] * 3 + [1] * 3
+    assert [limit.weight for limit in PAPER.values()] == [None] + [WEIGHT] * 12 and WEIGHT == 1e12
+
+
+@pytest.mark.parametrize("name", PAPERS)
+def test_every_limit_equals_the_paper(name: str) -> None:
+    x = states(1000)
+    value = PAPER[name].h(tensor(x), C)
+    tolerance = PSM_TOLERANCE if name == "passive_safety" else 2e-12
+    np.testing.assert_allclose(value, paper(x)[PAPERS.index(name)], rtol=0, atol=tolerance)
+
+
+def test_every_limit_is_tested_on_both_sides() -> None:
+    share = (paper(states(1000)) < 0).mean(1)
+    assert ((share > 0.01) & (share < 0.99)).all()
+
+
+def test_both_filters_report_these_definitions() -> None:
+    x = tensor(states(1000, seed=1))
+    values = torch.stack([limit.h(x, C) for limit in PAPER.values()])
+    assert torch.equal(PaperFilter(C).values(x), values)
+    assert torch.equal(SafetyFilter(C).values(x), values)
+
+
+def test_axes_of_panels_and_thermal_side_are_the_tasks() -> None:
+    x = states(100)
+    flipped = InspectionParameters(solar_panel_axis="+x")
+    found = [PAPER[name].h(tensor(x), flipped) for name in ("attitude_exclusion", "temperature", "battery")]
+    np.testing.assert_allclose(torch.stack(found), orientation(x, panel=1.0), rtol=0, atol=1e-12)
+
+
+def test_a_spacecraft_at_rest_on_a_limit_has_finite_values_and_slopes() -> None:
+    """Where a root begins its slope is infinite: it counts as zero, so that a filter has an answer there."""
+    x = at_rest().repeat(1, 3)
+    x[0] = torch.tensor([100.0, C.collision_radius, C.max_distance])
+    for limit in PAPER.values():
+        value, slope = directional(lambda y, h=limit.h: h(y, C)[None], (x,), (torch.ones_like(x),))
+        assert value.isfinite().all() and slope.isfinite().all()
+    assert PAPER["dynamic_speed"].h(x, C)[0] == C.docking_speed + C.speed_slope * 100.0
+    assert PAPER["collision"].h(x, C)[1] == 0.0 and PAPER["keep_in_zone"].h(x, C)[2] == 0.0

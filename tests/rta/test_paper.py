@@ -1,0 +1,295 @@
+"""The paper's filter: its rows against differences of the paper's functions, its program against another solver."""
+
+import math
+from typing import Any
+
+import numpy as np
+import piqp
+import pytest
+import torch
+from numpy import ndarray
+from scipy.optimize import nnls
+from torch import Tensor
+
+from inspection.model.dynamics import step
+from inspection.model.parameters import InspectionParameters
+from kernels.build import NoCompilerError, compiler
+from rta import paper as paper_filter
+from rta.constraints.names import PAPERS
+from rta.filter import SafetyFilter
+from rta.flown_paper import FlownPaperFilter
+from rta.limits import PAPER, WEIGHT, Limit
+from rta.paper import PaperFilter, asif, barrier_conditions
+from rta.parameters import PERIODS
+from rta.qp.programs import Status
+from study.verification.starts import safe_set
+from tests.oracles import (
+    IN_FLIGHT,
+    C,
+    drift,
+    near,
+    orientation,
+    panel,
+    paper,
+    push,
+    slope,
+    states,
+    tensor,
+    turn,
+)
+from tests.support.states import at_rest
+
+LIMIT = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
+WEIGHTS = [limit.weight for limit in PAPER.values()]
+
+
+def finds_compiler() -> bool:
+    try:
+        compiler()
+    except NoCompilerError:
+        return False
+    return True
+
+
+@pytest.fixture(scope="module")
+def within() -> Tensor:
+    """2,000 states within all limits, (16, 2000), all over them."""
+    return safe_set(2000, 5, FlownPaperFilter(C, 1.0))[0]
+
+
+def drawn(count: int, seed: int = 0, largest: float = 1.0) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return LIMIT * largest * (2 * torch.rand(6, count, generator=generator, dtype=torch.float64) - 1)
+
+
+# The rows
+
+
+def last_psi(x: ndarray) -> ndarray:
+    """Psi_0 of relative degree one and Psi_1 = dh/dt + k_1 h of degree two, by complex steps, (13, B)."""
+    psi = paper(x)
+    k = np.array([[limit.gains[0]] for limit in PAPER.values()])[7:10]
+    along = orientation(x + 1e-30j * drift(x, C), panel(C)).imag / 1e-30
+    psi[7:10] = along + k * orientation(x, panel(C))
+    return psi
+
+
+@pytest.fixture(scope="module")
+def differences() -> tuple[ndarray, ndarray]:
+    """a (13, 6, B) and b (13, B) in flight, by central differences."""
+    x = IN_FLIGHT
+    gain = np.array([[limit.gains[-1]] for limit in PAPER.values()])
+    b = slope(last_psi, x, drift(x, C), 1e-5) + gain * last_psi(x)
+    along = [*(push(x, i) for i in range(3)), *(turn(x, i, C) for i in range(3))]
+    return np.stack([slope(last_psi, x, g, 1e-5) for g in along], 1), b
+
+
+@pytest.mark.parametrize("name", PAPERS)
+def test_a_row_is_the_papers_barrier_condition(name: str, differences: tuple[ndarray, ndarray]) -> None:
+    a, b, psi = barrier_conditions(tensor(IN_FLIGHT), C)
+    i = PAPERS.index(name)
+    coarse = name == "passive_safety"  # whose time of the closest pass is refined to some ms
+    near(psi[i], last_psi(IN_FLIGHT)[i], 1e-4 if coarse else 1e-9)
+    near(a[i], differences[0][i], 1e-2 if coarse else 1e-6)
+    near(b[i], differences[1][i], 1e-2 if coarse else 1e-6)
+
+
+def test_rows_of_all_periods_are_the_same_bits() -> None:
+    """The period is the only thing that a filter called every 1, 5 or 10 s differs in."""
+    x = tensor(states(200, seed=4))
+    first, *others = [FlownPaperFilter(C, period) for period in PERIODS]
+    for compiled in (False, True) if finds_compiler() else (False,):
+        for each in (first, *others) if compiled else ():
+            each.compile("cpu", 200)
+        expected = [*first.conditions(x), first.values(x)]
+        for other in others:
+            for one, same in zip(expected, [*other.conditions(x), other.values(x)], strict=True):
+                assert torch.equal(one.nan_to_num(), same.nan_to_num())
+
+
+def test_compiled_rows_equal_uncompiled_ones(within: Tensor) -> None:
+    if not finds_compiler():
+        pytest.skip("no C compiler")
+    plain, compiled = FlownPaperFilter(C, 1.0), FlownPaperFilter(C, 1.0)
+    compiled.compile("cpu", 2000)
+    for one, other in zip(plain.conditions(within), compiled.conditions(within), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-10, atol=1e-10)
+    torch.testing.assert_close(plain.values(within), compiled.values(within), rtol=1e-12, atol=1e-12)
+
+
+# The program
+
+
+def by_nnls(a: ndarray, b: ndarray, desired: ndarray) -> ndarray:
+    """The controls (6,) of one program, by the dual of its least-distance form (Lawson and Hanson 1974, ch. 23)."""
+    soft = np.eye(13)[:, 1:] / math.sqrt(WEIGHT)  # safe separation is the first row
+    bounds = np.hstack((np.vstack((np.eye(6), -np.eye(6))), np.zeros((12, 12))))
+    g, start = np.vstack((np.hstack((a, soft)), bounds)), np.append(desired, np.zeros(12))
+    h = np.append(-b, -np.ones(12)) - g @ start
+    length = np.sqrt((g**2).sum(1))
+    g, h = g / length[:, None], h / length
+    scale = max(1.0, np.abs(h).max())
+    e, f = np.vstack((g.T, h / scale)), np.append(np.zeros(18), 1.0)
+    r = e @ nnls(e, f, maxiter=10_000)[0] - f
+    return (start - scale * r[:-1] / r[-1])[:6]
+
+
+def test_controls_equal_those_of_another_solver(within: Tensor) -> None:
+    """To 1e-6 of a limit, at 2,000 states within all limits; more where slack takes up most of the cost."""
+    desired = drawn(2000, largest=2.0)
+    found = PaperFilter(C).correct(within, desired)
+    a, b, _ = barrier_conditions(within, C)
+    a, wanted = (a * LIMIT).numpy(), (desired / LIMIT).numpy()
+    asked = torch.nonzero((found.status == Status.HARD) | (found.status == Status.SLACK)).flatten().tolist()
+    expected = np.stack([by_nnls(a[..., i], b[:, i].numpy(), wanted[:, i]) for i in asked], 1)
+    off = np.abs((found.control / LIMIT).numpy()[:, asked] - expected).max(0)
+    held = (found.status[asked] == Status.HARD).numpy()
+    assert held.sum() > 1000
+    assert off[held].max() < 1e-6
+    assert off.max() < 1e-4
+    assert (found.status == Status.UNSOLVED).sum() == 0
+
+
+def test_the_clipped_desired_control_is_the_solution_where_it_breaks_no_row(within: Tensor) -> None:
+    """As the whole program says, which is then not solved."""
+    desired = drawn(2000, seed=1, largest=2.0)
+    found = PaperFilter(C).correct(within, desired)
+    a, b, _ = barrier_conditions(within, C)
+    clipped = (desired / LIMIT).clamp(-1, 1)
+    kept = ((a * LIMIT * clipped).sum(1) + b >= 1e-6).all(0)
+    assert kept.sum() > 50
+    control, _, status = asif((a * LIMIT)[..., kept], b[:, kept], (desired / LIMIT)[:, kept], WEIGHTS)
+    torch.testing.assert_close(found.control[:, kept] / LIMIT, control, rtol=0, atol=1e-6)
+    assert (status == Status.HARD).all()
+
+
+def test_what_breaks_nothing_is_passed_on_bit_for_bit() -> None:
+    desired = 0.1 * drawn(1)
+    found = PaperFilter(C).correct(at_rest(), desired)
+    assert torch.equal(found.control, desired)
+    assert found.status == Status.UNTOUCHED and not found.intervened
+
+
+def test_slack_is_given_where_rows_conflict_and_by_the_inverse_of_its_weight() -> None:
+    """Rows u_1 >= 0.5 and u_1 <= 0.2 of weights w and 4 w: the second gives a quarter of what the first does."""
+    a = torch.zeros(3, 6, 1, dtype=torch.float64)
+    a[0, 1], a[1, 0], a[2, 0] = 1.0, 1.0, -1.0
+    b = torch.tensor([[1.0], [-0.5], [0.2]], dtype=torch.float64)
+    control, slack, status = asif(a, b, torch.zeros(6, 1, dtype=torch.float64), [None, 1e6, 4e6])
+    assert status == Status.SLACK
+    torch.testing.assert_close(slack[:, 0], b.new_tensor([0.0, 0.24, 0.06]), rtol=0, atol=1e-6)
+    assert control[0].item() == pytest.approx(0.26, abs=1e-6)
+
+
+def test_a_program_without_a_solution_is_unsolved_and_said() -> None:
+    """Safe separation asks for more than there is, and has no slack."""
+    a = torch.zeros(13, 6, 1, dtype=torch.float64)
+    a[:, 0] = 1.0
+    b = torch.ones(13, 1, dtype=torch.float64)
+    b[0] = -1.5
+    control, slack, status = asif(a, b, torch.ones(6, 1, dtype=torch.float64), WEIGHTS)
+    assert status == Status.UNSOLVED and not control.any() and not slack.any()
+    b[0], b[1] = 1.0, -1.5  # one that has slack gives it
+    control, slack, status = asif(a, b, torch.ones(6, 1, dtype=torch.float64), WEIGHTS)
+    assert status == Status.SLACK
+    torch.testing.assert_close(slack[1], b.new_tensor([0.5]), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_a_number_that_is_not_finite_spoils_its_own_program_alone(within: Tensor, number: float) -> None:
+    desired = drawn(40)
+    alone = PaperFilter(C).correct(within[:, :40], desired)
+    spoilt = within[:, :40].clone()
+    spoilt[0, ::2] = number
+    found = PaperFilter(C).correct(spoilt, desired)
+    assert (found.status[::2] == Status.UNSOLVED).all() and not found.control[:, ::2].any()
+    torch.testing.assert_close(
+        found.control[:, 1::2] / LIMIT, alone.control[:, 1::2] / LIMIT, rtol=0, atol=1e-7
+    )
+    assert torch.equal(found.status[1::2], alone.status[1::2])
+    assert (
+        PaperFilter(C).correct(at_rest(), torch.full((6, 1), number).double()).status == Status.UNSOLVED
+    ).all() or (number == math.inf)
+
+
+def test_one_program_does_not_depend_on_those_beside_it(within: Tensor) -> None:
+    desired = drawn(60, seed=3)
+    together = PaperFilter(C).correct(within[:, :60], desired)
+    for i in range(0, 60, 7):
+        alone = PaperFilter(C).correct(within[:, i : i + 1], desired[:, i : i + 1])
+        torch.testing.assert_close(alone.control[:, 0], together.control[:, i], rtol=0, atol=1e-8)
+        assert alone.status[0] == together.status[i]
+
+
+def test_limits_and_weights_may_be_others() -> None:
+    """A table of one's own: a limit of speed that must hold, alone."""
+    own = {"slow": Limit(lambda x, c: 0.1 - x[3], (0.5,), None)}
+    x = at_rest()
+    x[3] = 0.1
+    found = PaperFilter(C, own).correct(x, LIMIT.clone())
+    a, b, _ = barrier_conditions(x, C, own)
+    assert found.h.shape == (1, 1) and found.status == Status.HARD
+    assert ((a * found.control).sum(1) + b).item() == pytest.approx(0.0, abs=1e-9)
+
+
+# In the loop
+
+
+def test_piqp_solves_compiled_or_not(within: Tensor, monkeypatch: pytest.MonkeyPatch) -> None:
+    solved: list[Any] = []
+
+    class Counting(piqp.DenseSolver):
+        def solve(self) -> Any:
+            solved.append(1)
+            return super().solve()
+
+    monkeypatch.setattr(paper_filter.piqp, "DenseSolver", Counting)
+    filters = [FlownPaperFilter(C, 1.0) for _ in range(2)]
+    if finds_compiler():
+        filters[1].compile("cpu", 100)
+    desired = drawn(100)
+    answers = []
+    for each in filters:
+        solved.clear()
+        answers.append(each.correct(within[:, :100], desired))
+        a, b, _ = each.conditions(within[:, :100])
+        assert len(solved) == (~(((a * desired).sum(1) + b) >= 0).all(0)).sum()  # as many as break a row
+    torch.testing.assert_close(answers[0].control / LIMIT, answers[1].control / LIMIT, rtol=0, atol=1e-6)
+
+
+def test_nothing_is_ever_verified(within: Tensor) -> None:
+    found = FlownPaperFilter(C, 1.0).correct(within, drawn(2000))
+    assert not found.verified.any() and not found.backup.any()
+
+
+def test_starts_are_safe_where_every_h_and_every_psi_is_not_negative() -> None:
+    x = tensor(np.hstack((states(2000), IN_FLIGHT)))
+    expected = (paper(x.numpy()) >= 0).all(0) & (last_psi(x.numpy()) >= 0).all(0)
+    found = FlownPaperFilter(C, 1.0).is_safe(x)
+    assert found.any() and torch.equal(found, torch.from_numpy(expected))
+
+
+def test_a_call_takes_and_gives_numpy_of_one_spacecraft() -> None:
+    x, desired = at_rest()[:, 0].numpy(), (2.0 * LIMIT[:, 0]).numpy()
+    found = FlownPaperFilter(C, 1.0)(x, desired)
+    assert isinstance(found.control, np.ndarray) and found.control.shape == (6,)
+    assert (np.abs(found.control) <= LIMIT[:, 0].numpy()).all() and found.status == Status.HARD
+    with pytest.raises(ValueError, match=r"state of shape \(15,\)"):
+        FlownPaperFilter(C, 1.0)(x[:15], desired)
+    with pytest.warns(UserWarning, match="is it in K"):
+        FlownPaperFilter(C, 1.0)(np.concatenate((x[:13], [290.0], x[14:])), desired)
+
+
+def test_it_fails_where_the_checked_filter_does_not() -> None:
+    """The paper's rows do not say that braking still suffices: flown with opposite demands, limits break."""
+    x = safe_set(64, 0, SafetyFilter(C))[0]
+    paper_, checked = FlownPaperFilter(C, 10.0), SafetyFilter(InspectionParameters())
+    y, desired = x.clone(), drawn(64, seed=9)
+    lowest = paper_.values(y)
+    for _ in range(12):
+        u = paper_.correct(y, desired).control
+        for _ in range(10):
+            y = step(y, u, 1.0, C)
+        lowest = torch.minimum(lowest, paper_.values(y))
+    assert (checked.values(x) >= 0).all()
+    assert (lowest < -1e-3).any(0).float().mean() > 0.2
