@@ -573,11 +573,14 @@ def speed() -> Iterator[tuple[str, str, str]]:
     ):
         yield f"a filter call under random demands, {where}", f"{us:.1f} µs [{low:.1f}, {high:.1f}]", ""
     yield "filter calls, with U1's bounds", per_s("told_filter_calls_per_s"), ""
+    every, third = (f"{rate:,.0f}" for rate in b["paper_filter_calls_per_s"].values())
+    yield "calls of the paper's filter: each has a program, every third has", f"{every} / {third} per s", ""
     yield "through Gymnasium, no RTA, NumPy / PyTorch", per_s("gymnasium_steps_per_s"), ""
     problem = "one optimisation problem of the filter, PIQP / batched solver, 1,024 at once"
     yield problem, " / ".join(f"{us:.2f}" for us in b["qp_us"].values()) + " µs", ""
     yield "one filter call alone, NumPy in and out", latency("single_filter_latency_ms"), "0.36 to 0.49 ms"
     yield "one filter call alone, with U1's bounds", latency("told_filter_latency_ms"), ""
+    yield "one call of the paper's filter alone", latency("paper_filter_latency_ms"), ""
     part = f"{100 * b['learner_matmul_share']:.0f} % of the float32 matrix-product rate"
     learner = f"{per_s('learner_samples_per_s')}, {part} ({b['matmul_gflops']:.0f} Gflop/s)"
     yield "samples learned, 1,024 at once", learner, ""

@@ -28,6 +28,7 @@ from interfaces.vector import VectorInspection6DoF
 from kernels.build import VARIABLE
 from ppo.learner import PPO
 from rta.filter import SafetyFilter
+from rta.flown_paper import FlownPaperFilter
 from rta.parameters import PERIODS
 from rta.propose import demanded
 from rta.qp.batched_solver import BatchedSolver
@@ -35,7 +36,7 @@ from rta.qp.programs import Problems, Solver
 from rta.qp.scaled import scale_rows, to_qp
 from settings import load, override
 from study.config import Config
-from study.experiment import Experiment, load_policy
+from study.experiment import AnyFilter, Experiment, load_policy
 from study.files import ROOT
 from study.machine import compile_or_explain, wants_compile
 from study.verification import measure as demands
@@ -265,7 +266,26 @@ def filter_rate(safety_filter: SafetyFilter, x: Tensor, desired: Tensor, batch: 
     return per_second(call, batch, x.device)
 
 
-def single_latencies(safety_filter: SafetyFilter, *met: Tensor) -> list[float]:
+def paper_filter_rates(paper: FlownPaperFilter, x: Tensor, desired: Tensor, batch: int) -> dict[str, Spread]:
+    """Measures calls per s of the paper's filter: where every call has a program to solve, and where every third has.
+
+    Args:
+        x, desired: states (16, N) and controls (6, N), of which some have one.
+    """
+    limit = x.new_tensor(paper.c.control_limit)[:, None]
+    a, b, _ = paper.conditions(x)
+    has_program = ((a * desired.clamp(-limit, limit)).sum(1) + b < 0.0).any(0)
+    asked, passed = (torch.nonzero(each).flatten() for each in (has_program, ~has_program))
+    third = torch.arange(batch, device=x.device) % 3 == 0
+    every = repeated(asked, batch)
+    mixed = torch.where(third, every, repeated(passed, batch))
+    return {
+        name: per_second(partial(paper.correct, x[:, own], desired[:, own]), batch, x.device)
+        for name, own in {"every": every, "third": mixed}.items()
+    }
+
+
+def single_latencies(safety_filter: AnyFilter, *met: Tensor) -> list[float]:
     """Returns the ms of SINGLE_CALLS filter calls, sorted, all of other spacecraft, NumPy in and out."""
     given = (repeated(part, WARM_CALLS + SINGLE_CALLS).numpy(force=True).T.copy() for part in met)
     calls = [partial(safety_filter, *pair) for pair in zip(*given, strict=True)]
@@ -385,7 +405,12 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
     agent = untrained(experiment)
     met = record(experiment, agent)
     robust_met = record(robust, agent)  # the other filter leads to states that this one keeps away from
+    of_paper = override(named["1"], {"rta": {"filter": "paper", "qp_solver": "piqp"}}, "benchmark")
+    paper = built(of_paper, typical).filter
+    assert isinstance(paper, FlownPaperFilter)
+    papers = paper_filter_rates(paper, *met, typical)
     single = {
+        "paper_filter_latency_ms": single_latencies(paper, *met),
         "single_filter_latency_ms": single_latencies(experiment.checked_filter, *met),
         "told_filter_latency_ms": single_latencies(robust.checked_filter, *robust_met),
     }
@@ -431,6 +456,7 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
     counts = {"learner_samples_per_s": minibatch, "qp_us": TYPICAL_PROGRAMS}
     headline = {path: by_count[counts.get(path[0], typical)] for path, by_count in curves.items()}
     headline |= {("random_call_us", name): spent for name, spent in random_us.items()}
+    headline |= {("paper_filter_calls_per_s", name): rate for name, rate in papers.items()}
     headline["matmul_gflops",] = matrix_product
     flops = curves["learner_samples_per_s",][minibatch]["median"] * learner_flops(fresh_learner(bare))
     cpu = f"cpu ({platform.processor() or platform.machine()})"

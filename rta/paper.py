@@ -8,7 +8,6 @@ program, of six controls and all slack, solved by PIQP. Nothing is checked: it c
 """
 
 import numpy as np
-import piqp
 import torch
 from torch import Tensor
 
@@ -17,12 +16,11 @@ from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE
 from rta.lie_derivatives import Function, lie_derivative, lie_derivatives
 from rta.limits import PAPER, Limit
+from rta.qp.nearest import nearest_points
 from rta.qp.programs import Status
 from rta.result import FilterResult
 
-NEVER = 3.0  # a row of length 1 with b above sqrt(6) cannot be broken, however large b is
 GIVEN = 1e-7  # slack, in the unit of its condition, that is more than rounding
-TOLERANCES = 1e-11, 1e-9  # of PIQP; beside much slack of weight 1e12 there are no digits for the first
 
 Conditions = tuple[Tensor, Tensor, Tensor]  # a (R, 6, B) and b (R, B) of BC = a u + b, and Psi (R, B)
 
@@ -52,33 +50,25 @@ def asif(a: Tensor, b: Tensor, desired: Tensor, weights: list[float | None]) -> 
     """Returns controls (6, n), slack (R, n) and `Status` (n,) of n programs; zeros of one that PIQP does not solve.
 
     Controls are in units of the actuators' limits, a (R, 6, n), b (R, n) and desired (6, n), too. A row of weight None
-    has no slack. PIQP's variables are controls and sqrt(w) delta, so that its cost is the identity.
+    has no slack. Variables are the controls and sqrt(w) delta, so that the cost is a distance; rows have length 1, and
+    those that no control within the limits breaks are left out.
     """
-    soft = [i for i, weight in enumerate(weights) if weight is not None]
-    unit = np.array([weight**-0.5 for weight in weights if weight is not None])
+    unit = np.array([0.0 if weight is None else weight**-0.5 for weight in weights])
     rows, low, wanted = (part.movedim(-1, 0).cpu().numpy() for part in (a, -b, desired))
-    (n, m), size = low.shape, CONTROL_SIZE + len(soft)
-    g, cost, answer = np.zeros((n, size, m)), np.zeros((n, size)), np.zeros((n, size))
-    g[:, :CONTROL_SIZE], cost[:, :CONTROL_SIZE] = rows.swapaxes(1, 2), -wanted
-    g[:, range(CONTROL_SIZE, size), soft] = unit
-    length = np.sqrt((g**2).sum(1))
-    g, low = g / length[:, None], (low / length).clip(min=-NEVER)
-    box = np.array([1.0] * CONTROL_SIZE + [1e30] * len(soft))  # which is PIQP's infinity
-    solver = piqp.DenseSolver()
-    solver.settings.preconditioner_iter = 0  # rows are scaled already
-    solver.setup(np.eye(size), np.ones(size), None, None, np.ones((m, size)), np.zeros(m), None, -box, box)
-    finite, status = np.isfinite(g.sum((1, 2)) + low.sum(1) + cost.sum(1)), np.full(n, int(Status.UNSOLVED))
-    for tolerance in TOLERANCES:
-        for name in ("abs", "rel", "duality_gap_abs", "duality_gap_rel", "primal_inf"):
-            setattr(solver.settings, f"eps_{name}", tolerance)
-        for i in np.flatnonzero(finite & (status == Status.UNSOLVED)):  # others would spoil PIQP's workspace
-            solver.update(c=cost[i], G=g[i].T, h_l=low[i])
-            if solver.solve() == piqp.PIQP_SOLVED:
-                answer[i], status[i] = solver.result.x, Status.HARD
-    slack = np.zeros((n, m))
-    slack[:, soft] = np.where(answer[:, CONTROL_SIZE:] * unit > GIVEN, answer[:, CONTROL_SIZE:] * unit, 0.0)
+    length = np.sqrt((rows**2).sum(2) + unit**2)
+    rows, low, slack = rows / length[..., None], low / length, np.zeros_like(low)
+    control, status = np.zeros_like(wanted), np.full(len(low), int(Status.UNSOLVED))
+    short = low + np.abs(rows).sum(2)  # of a row, under the worst control
+    order, count = short.argsort(1)[:, ::-1], (short > 0.0).sum(1)
+    finite = np.isfinite(short.sum(1) + wanted.sum(1))
+    for k in np.unique(count[finite]):
+        own = np.flatnonzero(finite & (count == k))
+        kept = own[:, None], order[own, :k]
+        g = np.concatenate((rows[kept].swapaxes(1, 2), (unit / length)[kept][:, None] * np.eye(k)), 1)
+        z, solved = nearest_points(np.pad(wanted[own], ((0, 0), (0, k))), g, low[kept], CONTROL_SIZE)
+        control[own], slack[kept], status[own[solved]] = z[:, :CONTROL_SIZE], z[:, CONTROL_SIZE:], Status.HARD
+    slack = np.where(slack * unit > GIVEN, slack * unit, 0.0)
     status[slack.any(1)] = Status.SLACK
-    control = answer[:, :CONTROL_SIZE].clip(-1.0, 1.0)
     return [torch.from_numpy(part.T).to(a.device) for part in (control, slack, status)]
 
 

@@ -138,7 +138,7 @@ def side_by_side(arms: dict[str, Arm]) -> list[list[str]]:
         needs = (
             *(with_correction_price(config), config.rta, config.chief, len(arm.digests)),
             *(train.device, train.compile, train.final_episodes),
-            *(ppo.hidden, ppo.log_std_bounds, ppo.action_power, ppo.action_dead_zone),
+            *(ppo.hidden, ppo.log_std_bounds, ppo.tanh_outputs, ppo.action_power, ppo.action_dead_zone),
         )
         group = next((names for others, names in groups if others == needs), None)
         if group is None:
@@ -151,8 +151,11 @@ def side_by_side(arms: dict[str, Arm]) -> list[list[str]]:
 def in_world(arms: Sequence[Arm], plant: str, rta: bool, uncertainty: Uncertainty) -> list[Results]:
     """Flies the agents of arms side by side in the plant of a file, the filter on or off and with this uncertainty."""
     first = arms[0]
+    own = with_rta(first.config, rta, FILTER_PERIOD).with_solver("auto")
+    if not uncertainty.is_zero:  # of which the paper's filter knows nothing
+        own = replace(own, rta=replace(own.rta, filter="checked"))
     config = replace(
-        with_rta(first.config, rta, FILTER_PERIOD).with_solver("auto"),
+        own,
         plant=load(PLANTS / f"{plant}.toml", Config()).plant,
         uncertainty=uncertainty,
     )

@@ -14,7 +14,6 @@ from torch import Tensor
 from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
 from kernels.build import NoCompilerError, compiler
-from rta import paper as paper_filter
 from rta.constraints.names import PAPERS
 from rta.filter import SafetyFilter
 from rta.flown_paper import FlownPaperFilter
@@ -243,7 +242,7 @@ def test_piqp_solves_compiled_or_not(within: Tensor, monkeypatch: pytest.MonkeyP
             solved.append(1)
             return super().solve()
 
-    monkeypatch.setattr(paper_filter.piqp, "DenseSolver", Counting)
+    monkeypatch.setattr(piqp, "DenseSolver", Counting)
     filters = [FlownPaperFilter(C, 1.0) for _ in range(2)]
     if finds_compiler():
         filters[1].compile("cpu", 100)
