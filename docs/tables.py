@@ -213,7 +213,7 @@ def front() -> Rows:
             *("", "", any_limit),
             *(f"{reward:.3f}", f"{time:,.0f}", f"{fuel:.2f}"),
         )
-    learners = {"paper": "the paper's learner here", "from_nothing": "ours, from nothing"}
+    learners = {"our_learner": "our learner, the paper's task", "from_nothing": "ours, from nothing"}
     ours = {"no_rta": "without RTA", "rta": "with our filter"}
     found = {
         **{f"{name}, {ours[arm]}": arms(study)[arm] for study, name in learners.items() for arm in ARMS},
@@ -247,7 +247,7 @@ def kept() -> Rows:
 def beside_the_paper(label: str, column: Column, published: Published | None = None) -> Iterator[str]:
     """Yields a row of the paper's study: of each arm our number, then the paper's of the arms that it has."""
     yield label
-    for arm, results in arms("paper").items():
+    for arm, results in arms("our_learner").items():
         yield column(results)
         if arm in ARMS:
             yield published.by_arm[arm].text(published.digits) if published else ""
@@ -627,7 +627,7 @@ TABLES: dict[str, Callable[[], Rows]] = {
         )
     },
     "papers_learning": lambda: learned(
-        "paper", 0, 65_536, 163_840, 311_296, 507_904, 1_015_808, 3_014_656, 5_013_504
+        "our_learner", 0, 65_536, 163_840, 311_296, 507_904, 1_015_808, 3_014_656, 5_013_504
     ),
     "our_learning": lambda: learned(
         "from_nothing", 0, 114_688, 311_296, 507_904, 1_015_808, 2_015_232, 3_014_656, 5_013_504
@@ -645,9 +645,9 @@ TABLES: dict[str, Callable[[], Rows]] = {
         among=["rta"],
     ),
     "our_longer": longer,
-    "papers_hidden": lambda: hidden("paper"),
+    "papers_hidden": lambda: hidden("our_learner"),
     "our_hidden": lambda: hidden("from_nothing"),
-    "papers_dependence": lambda: of_arms(read("paper/report/cross.json")),
+    "papers_dependence": lambda: of_arms(read("our_learner/report/cross.json")),
     "our_spread": lambda: spread(labelled(arms("from_nothing"))),
     "taught": lambda: spread(labelled(arms("study"))),
     "guidance_front": lambda: agents(report("front")),

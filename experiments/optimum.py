@@ -439,7 +439,7 @@ def draw(found: dict[str, Any], path: Path) -> None:
         papers = [PAPER_METRICS[metric].by_arm[arm].value for metric in ("episode_length_s", "delta_v_m_s")]
         lines.append(([papers], marker, GREY, f"the paper's agents, {name}"))
         for study, colour, learner in (
-            ("paper", PURPLE, "the paper's learner here"),
+            ("our_learner", PURPLE, "our learner, the paper's task"),
             ("from_nothing", ORANGE, "ours, from nothing"),
         ):
             agents = shipped(f"{study}/results.json")["arms"][arm]

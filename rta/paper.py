@@ -9,6 +9,7 @@ program, of six controls and all slack, solved by PIQP. Nothing is checked: it c
 
 import numpy as np
 import torch
+from numpy import ndarray
 from torch import Tensor
 
 from inspection.model.dynamics import control_matrix, drift
@@ -46,30 +47,32 @@ def barrier_conditions(x: Tensor, c: Limits, limits: dict[str, Limit] = PAPER) -
     return along_g, along_f + gain * psi, psi
 
 
-def asif(a: Tensor, b: Tensor, desired: Tensor, weights: list[float | None]) -> list[Tensor]:
-    """Returns controls (6, n), slack (R, n) and `Status` (n,) of n programs; zeros of one that PIQP does not solve.
+def asif(
+    a: ndarray, b: ndarray, desired: ndarray, weights: list[float | None]
+) -> tuple[ndarray, ndarray, ndarray]:
+    """Returns controls (n, 6), slack (n, R) and `Status` (n,) of n programs; zeros of one that PIQP does not solve.
 
-    Controls are in units of the actuators' limits, a (R, 6, n), b (R, n) and desired (6, n), too. A row of weight None
+    Controls are in units of the actuators' limits, a (n, R, 6), b (n, R) and desired (n, 6), too. A row of weight None
     has no slack. Variables are the controls and sqrt(w) delta, so that the cost is a distance; rows have length 1, and
     those that no control within the limits breaks are left out.
     """
     unit = np.array([0.0 if weight is None else weight**-0.5 for weight in weights])
-    rows, low, wanted = (part.movedim(-1, 0).cpu().numpy() for part in (a, -b, desired))
-    length = np.sqrt((rows**2).sum(2) + unit**2)
-    rows, low, slack = rows / length[..., None], low / length, np.zeros_like(low)
-    control, status = np.zeros_like(wanted), np.full(len(low), int(Status.UNSOLVED))
+    length = np.sqrt((a**2).sum(2) + unit**2)
+    rows, low, slack = a / length[..., None], -b / length, np.zeros_like(b)
+    control, status = np.zeros_like(desired), np.full(len(b), int(Status.UNSOLVED))
     short = low + np.abs(rows).sum(2)  # of a row, under the worst control
     order, count = short.argsort(1)[:, ::-1], (short > 0.0).sum(1)
-    finite = np.isfinite(short.sum(1) + wanted.sum(1))
+    finite = np.isfinite(short.sum(1) + desired.sum(1))
     for k in np.unique(count[finite]):
         own = np.flatnonzero(finite & (count == k))
         kept = own[:, None], order[own, :k]
         g = np.concatenate((rows[kept].swapaxes(1, 2), (unit / length)[kept][:, None] * np.eye(k)), 1)
-        z, solved = nearest_points(np.pad(wanted[own], ((0, 0), (0, k))), g, low[kept], CONTROL_SIZE)
+        wanted = np.concatenate((desired[own], np.zeros((len(own), k))), 1)
+        z, solved = nearest_points(wanted, g, low[kept], CONTROL_SIZE)
         control[own], slack[kept], status[own[solved]] = z[:, :CONTROL_SIZE], z[:, CONTROL_SIZE:], Status.HARD
     slack = np.where(slack * unit > GIVEN, slack * unit, 0.0)
     status[slack.any(1)] = Status.SLACK
-    return [torch.from_numpy(part.T).to(a.device) for part in (control, slack, status)]
+    return control, slack, status
 
 
 class PaperFilter:
@@ -92,16 +95,22 @@ class PaperFilter:
 
         What is desired, clipped to the actuators' limits, is the solution where it satisfies every condition.
         """
-        (a, b, _), h = self.conditions(x), self.values(x)
-        limit = x.new_tensor(self.c.control_limit)[:, None]
-        a, wanted = a * limit, desired / limit
-        control, slack = wanted.clamp(-1.0, 1.0), torch.zeros_like(b)
-        status = torch.where((control != wanted).any(0), Status.HARD, Status.UNTOUCHED)
-        broken = torch.nonzero(~((a * control).sum(1) + b >= 0.0).all(0)).flatten()
-        weights = [limit.weight for limit in self.limits.values()]
-        solved = asif(a[..., broken], b[:, broken], wanted[:, broken], weights)
-        control[:, broken], slack[:, broken], status[broken] = solved
-        changed, no = status > Status.UNTOUCHED, torch.zeros_like(status, dtype=torch.bool)
-        active = ((a * control).sum(1) + b <= GIVEN) & changed
-        control = torch.where(changed, control * limit, desired)
-        return FilterResult(control, changed, no, no, active, slack, status, status.expand(2, -1), h)
+        (*conditions, _), h = self.conditions(x), self.values(x)
+        a, b, asked = (part.movedim(-1, 0).cpu().numpy() for part in (*conditions, desired))
+        limit = np.array(self.c.control_limit)
+        a, wanted = a * limit, asked / limit
+        control, slack = wanted.clip(-1.0, 1.0), np.zeros_like(b)
+        status = np.where((control != wanted).any(1), int(Status.HARD), int(Status.UNTOUCHED))
+        broken = ~((a * control[:, None]).sum(2) + b >= 0.0).all(1)
+        if broken.any():
+            weights = [limit.weight for limit in self.limits.values()]
+            control[broken], slack[broken], status[broken] = asif(
+                a[broken], b[broken], wanted[broken], weights
+            )
+        changed = status > Status.UNTOUCHED
+        active = ((a * control[:, None]).sum(2) + b <= GIVEN) & changed[:, None]
+        applied = np.where(changed[:, None], control * limit, asked)
+        found = [torch.from_numpy(part.T).to(x.device) for part in (applied, changed, active, slack, status)]
+        u, intervened, active_rows, delta, code = found
+        no = torch.zeros_like(intervened)
+        return FilterResult(u, intervened, no, no, active_rows, delta, code, code.expand(2, -1), h)

@@ -284,8 +284,8 @@ LIMITS = [
         ("own = np.flatnonzero(finite & (count == k))", "own = np.flatnonzero(count == k)"),
         ("(short > 0.0).sum(1)", "(low > 0.0).sum(1)"),
         ("weight**-0.5 for weight", "weight**-1.0 for weight"),
-        ("a, wanted = a * limit, desired / limit", "a, wanted = a * limit, (desired / limit).clamp(-1, 1)"),
-        ("torch.where(changed, control * limit, desired)", "control * limit"),
+        ("a, wanted = a * limit, asked / limit", "a, wanted = a * limit, (asked / limit).clip(-1, 1)"),
+        ("np.where(changed[:, None], control * limit, asked)", "control * limit"),
     ),
     *faults(
         "rta/qp/nearest.py",

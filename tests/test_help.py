@@ -89,7 +89,7 @@ def test_an_example_stands_in_the_help_and_can_be_called(command: str) -> None:
 
 def test_what_is_changed_daily_comes_first_and_the_machine_last() -> None:
     shown = [action.option_strings[0] for action, _ in flags("train")]
-    daily = ("--rta", "--rta-period", "--seed", "--interactions", "--num-envs")
+    daily = ("--rta", "--rta-filter", "--rta-period", "--seed", "--interactions")
     assert shown[:5] == ["--run-dir", "--init-from", "--resume", "--config", "--print-config"]
     assert tuple(shown[5:10]) == daily
     assert shown[-2:] == ["--threads", "--cache-dir"]

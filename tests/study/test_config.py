@@ -92,7 +92,7 @@ def test_the_shipped_plants_can_be_flown(path: Path) -> None:
 
 
 def test_a_shipped_study_is_read_and_written_back() -> None:
-    study = load(CONFIGS.parent / "runs/reference/paper/config.toml", StudyConfig())
+    study = load(CONFIGS.parent / "runs/reference/our_learner/config.toml", StudyConfig())
     assert from_toml(to_toml(study), "text", StudyConfig()) == study
 
 
