@@ -273,7 +273,7 @@ def paper_filter_rates(paper: FlownPaperFilter, x: Tensor, desired: Tensor, batc
         x, desired: states (16, N) and controls (6, N), of which some have one.
     """
     limit = x.new_tensor(paper.c.control_limit)[:, None]
-    a, b, _ = paper.conditions(x)
+    a, b, *_ = paper.evaluated(x)
     has_program = ((a * desired.clamp(-limit, limit)).sum(1) + b < 0.0).any(0)
     asked, passed = (torch.nonzero(each).flatten() for each in (has_program, ~has_program))
     third = torch.arange(batch, device=x.device) % 3 == 0

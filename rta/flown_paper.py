@@ -14,7 +14,7 @@ from kernels.build import NoCompilerError, say
 from kernels.compiled import Compiled
 from kernels.modes import in_full_precision
 from rta.filter_input import FilterInput, probe
-from rta.paper import Conditions, PaperFilter
+from rta.paper import PaperFilter
 from rta.result import FilterResult
 
 
@@ -26,7 +26,7 @@ class FlownPaperFilter(PaperFilter):
 
     Attributes:
         unchecked: all that it enforces, since nothing is checked.
-        compiled: its conditions and its h; None: they are not. PIQP solves the programs all the same.
+        compiled: `evaluated`; None: it is not. PIQP solves the programs all the same.
     """
 
     unchecked = ["motion", "attitude"]  # noqa: RUF012
@@ -35,7 +35,7 @@ class FlownPaperFilter(PaperFilter):
         super().__init__(c)
         self.c: InspectionParameters = c
         self.period = period
-        self.compiled: tuple[Compiled, Compiled] | None = None
+        self.compiled: Compiled | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.c, self.period)
@@ -49,29 +49,27 @@ class FlownPaperFilter(PaperFilter):
         """
 
         x = probe(self.c, device)[0]
-        conditions = Compiled(lambda x: list(PaperFilter.conditions(self, x)), x, batch=batch)
-        values = Compiled(lambda x: [PaperFilter.values(self, x)], x, batch=batch)
-        self.compiled = conditions, values
-
-    @in_full_precision
-    def conditions(self, x: Tensor) -> Conditions:
-        """Returns `barrier_conditions`."""
-        if not self.compiled:
-            return super().conditions(x)
-        a, b, psi = self.compiled[0](x)
-        return a, b, psi
+        self.compiled = Compiled(lambda x: list(PaperFilter.evaluated(self, x)), x, batch=batch)
 
     @in_full_precision
     def values(self, x: Tensor) -> Tensor:
-        """Returns every h: states (16, B) to (13, B)."""
+        """Returns every h, (16, B) to (13, B); never compiled, so that others can record and differentiate it."""
         check_tensors(x=x)
-        return self.compiled[1](x)[0] if self.compiled else super().values(x)
+        return super().values(x)
+
+    @in_full_precision
+    def evaluated(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Returns a, b and Psi of `barrier_conditions`, and every h."""
+        if self.compiled is None:
+            return super().evaluated(x)
+        a, b, psi, h = self.compiled(x)
+        return a, b, psi, h
 
     @in_full_precision
     def is_safe(self, x: Tensor) -> Tensor:
         """Tells which states (16, B) may start an episode, (B,) bool: every h >= 0 and every Psi_1 >= 0."""
-        kept = (self.values(x) >= 0.0).all(0) & (self.conditions(x)[2] >= 0.0).all(0)
-        return is_state(x, self.c) & kept
+        _, _, psi, h = self.evaluated(x)
+        return is_state(x, self.c) & (h >= 0.0).all(0) & (psi >= 0.0).all(0)
 
     @in_full_precision
     def __call__(self, x: Any, desired: Any) -> FilterResult:

@@ -85,9 +85,9 @@ class PaperFilter:
         """Returns every h: states (16, B) to (R, B)."""
         return torch.stack([limit.h(x, self.c) for limit in self.limits.values()])
 
-    def conditions(self, x: Tensor) -> Conditions:
-        """Returns `barrier_conditions`."""
-        return barrier_conditions(x, self.c, self.limits)
+    def evaluated(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Returns `barrier_conditions` and `values`."""
+        return *barrier_conditions(x, self.c, self.limits), self.values(x)
 
     @torch.no_grad()
     def correct(self, x: Tensor, desired: Tensor) -> FilterResult:
@@ -95,8 +95,8 @@ class PaperFilter:
 
         What is desired, clipped to the actuators' limits, is the solution where it satisfies every condition.
         """
-        (*conditions, _), h = self.conditions(x), self.values(x)
-        a, b, asked = (part.movedim(-1, 0).cpu().numpy() for part in (*conditions, desired))
+        *rows, _, h = self.evaluated(x)
+        a, b, asked = (part.movedim(-1, 0).cpu().numpy() for part in (*rows, desired))
         limit = np.array(self.c.control_limit)
         a, wanted = a * limit, asked / limit
         control, slack = wanted.clip(-1.0, 1.0), np.zeros_like(b)

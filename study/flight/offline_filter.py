@@ -102,7 +102,7 @@ def enforced(group: ActuatorGroup, rows: Rows, control: Tensor, status: Tensor) 
 
 def paper_chunk(paper: FlownPaperFilter, x: Tensor, desired: Tensor) -> dict[str, Tensor]:
     """`filter_chunk` of the paper's filter."""
-    result, (a, b, _) = paper.correct(x, desired), paper.conditions(x)
+    result, (a, b, *_) = paper.correct(x, desired), paper.evaluated(x)
     weights = [torch.inf if limit.weight is None else limit.weight for limit in paper.limits.values()]
     by_state = {
         "control_safe": result.control,

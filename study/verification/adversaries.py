@@ -73,7 +73,7 @@ def adversarial(safety_filter: AnyFilter) -> Controller:
 
     def of_states(x: Tensor) -> list[Tensor]:
         if isinstance(safety_filter, FlownPaperFilter):
-            a, b, _ = safety_filter.conditions(x)
+            a, b, *_ = safety_filter.evaluated(x)
             return [part for rows, own in GROUPS for part in (a[rows, own], b[rows])]
         thrust, torque = safety_filter.rows(x)
         return [thrust.a, thrust.b, torque.a, torque.b]

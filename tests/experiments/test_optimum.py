@@ -136,7 +136,10 @@ def test_the_figure_sets_every_shipped_agent_beside_the_flights(
     draw(json.loads((ROOT / "runs/reference/optimum/optimum.json").read_text()), tmp_path / "optimum.png")
     (axis,) = figures[0].axes
     drawn = {line.get_label(): list(zip(*line.get_data(), strict=True)) for line in axis.lines}
-    for study, learner in (("our_learner", "our learner, the paper's task"), ("from_nothing", "ours, from nothing")):
+    for study, learner in (
+        ("our_learner", "our learner, the paper's task"),
+        ("from_nothing", "ours, from nothing"),
+    ):
         arms = json.loads((ROOT / f"runs/reference/{study}/results.json").read_text())["arms"]
         for arm, name in (("no_rta", "without RTA"), ("rta", "with RTA")):
             time, fuel = (arms[arm]["metrics"][each]["iqm"] for each in ("episode_length_s", "delta_v_m_s"))

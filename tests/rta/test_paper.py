@@ -100,9 +100,8 @@ def test_rows_of_all_periods_are_the_same_bits() -> None:
     for compiled in (False, True) if finds_compiler() else (False,):
         for each in (first, *others) if compiled else ():
             each.compile("cpu", 200)
-        expected = [*first.conditions(x), first.values(x)]
         for other in others:
-            for one, same in zip(expected, [*other.conditions(x), other.values(x)], strict=True):
+            for one, same in zip(first.evaluated(x), other.evaluated(x), strict=True):
                 assert torch.equal(one.nan_to_num(), same.nan_to_num())
 
 
@@ -111,9 +110,8 @@ def test_compiled_rows_equal_uncompiled_ones(within: Tensor) -> None:
         pytest.skip("no C compiler")
     plain, compiled = FlownPaperFilter(C, 1.0), FlownPaperFilter(C, 1.0)
     compiled.compile("cpu", 2000)
-    for one, other in zip(plain.conditions(within), compiled.conditions(within), strict=True):
+    for one, other in zip(plain.evaluated(within), compiled.evaluated(within), strict=True):
         torch.testing.assert_close(one, other, rtol=1e-10, atol=1e-10)
-    torch.testing.assert_close(plain.values(within), compiled.values(within), rtol=1e-12, atol=1e-12)
 
 
 # The program
@@ -249,7 +247,7 @@ def test_piqp_solves_compiled_or_not(within: Tensor, monkeypatch: pytest.MonkeyP
     for each in filters:
         solved.clear()
         answers.append(each.correct(within[:, :100], desired))
-        a, b, _ = each.conditions(within[:, :100])
+        a, b, *_ = each.evaluated(within[:, :100])
         assert len(solved) == (~(((a * desired).sum(1) + b) >= 0).all(0)).sum()  # as many as break a row
     torch.testing.assert_close(answers[0].control / LIMIT, answers[1].control / LIMIT, rtol=0, atol=1e-6)
 
