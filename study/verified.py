@@ -130,7 +130,8 @@ class Flown:
 def reports(filters: Sequence[str] = ("python",)) -> Iterator[Flown]:
     """All reports at hand of filters in these forms, see `Campaign.filter`; a file that is none is passed over."""
     reference = ROOT / "runs" / "reference"
-    for directory in (reference / "verification", reference / "frequency", Path(REPORTS)):
+    shipped = [reference / name for name in ("verification", "frequency", "paper_filter")]
+    for directory in (*shipped, Path(REPORTS)):
         for path in sorted(directory.glob("*.json")):
             try:
                 report = read_json(path, "report")
