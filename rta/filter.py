@@ -92,6 +92,10 @@ class SafetyFilter(Fixed):
         uncertainty: Uncertainty | None = None,
     ) -> None:
         c, parameters = c or InspectionParameters(), parameters or RtaParameters()
+        if parameters.filter != "checked":
+            raise ValueError(
+                f'filter = "{parameters.filter}": that is rta.flown_paper.FlownPaperFilter; must be "checked" here'
+            )
         uncertainty = uncertainty or NO_UNCERTAINTY
         vehicle.check(c, None if uncertainty.needs_sampled_rows(parameters) else parameters.period)
         uncertainty.check(c, parameters)

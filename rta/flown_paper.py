@@ -14,6 +14,7 @@ from kernels.build import NoCompilerError, say
 from kernels.compiled import Compiled
 from kernels.modes import in_full_precision
 from rta.filter_input import FilterInput, probe
+from rta.limits import PAPER, Limit
 from rta.paper import PaperFilter
 from rta.result import FilterResult
 
@@ -22,7 +23,8 @@ class FlownPaperFilter(PaperFilter):
     """`PaperFilter` with what commands ask of a filter. Call it as a function, of one spacecraft or of many.
 
     Args:
-        c: the task's constants; period: s between two calls, of which no row knows.
+        c: the task's constants; None: the paper's.
+        period: s between two calls, of which no row knows; limits: another table than the paper's.
 
     Attributes:
         unchecked: all that it enforces, since nothing is checked.
@@ -31,14 +33,19 @@ class FlownPaperFilter(PaperFilter):
 
     unchecked = ["motion", "attitude"]  # noqa: RUF012
 
-    def __init__(self, c: InspectionParameters, period: float) -> None:
-        super().__init__(c)
-        self.c: InspectionParameters = c
+    def __init__(
+        self,
+        c: InspectionParameters | None = None,
+        period: float = 1.0,
+        limits: dict[str, Limit] = PAPER,
+    ) -> None:
+        self.c: InspectionParameters = c or InspectionParameters()
+        super().__init__(self.c, limits)
         self.period = period
         self.compiled: Compiled | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.c, self.period)
+        return type(self), (self.c, self.period, self.limits)
 
     @in_full_precision
     def compile(self, device: torch.device | str, batch: int) -> None:
@@ -82,7 +89,7 @@ class FlownPaperFilter(PaperFilter):
     @cached_property
     def _for_one(self) -> "FlownPaperFilter":
         """This filter, compiled where it can be."""
-        other = FlownPaperFilter(self.c, self.period)
+        other = FlownPaperFilter(self.c, self.period, self.limits)
         try:
             other.compile("cpu", 1)
         except (NoCompilerError, NotImplementedError) as error:

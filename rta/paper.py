@@ -1,10 +1,11 @@
-"""The paper's filter (Sec. Run Time Assurance, box Active Set Invariance Filter), as it stands there.
+"""The paper's filter (Sec. Run Time Assurance, box Active Set Invariance Filter).
 
     u_act = argmin |u_des - u|^2 + sum_i w_i delta_i^2
             s.t.   L_f Psi_i + L_g Psi_i u + alpha(Psi_i) + delta_i >= 0,   |u_j| <= u_max
 
-Psi_i is h_i, or the last of its high-order barrier functions that no control changes at once. Each spacecraft has one
-program, of six controls and all slack, solved by PIQP. Nothing is checked: it can fail. `rta.filter` is verified.
+Psi_i is h_i, or the last of its high-order barrier functions that no control changes at once; alpha(z) = k z. The
+paper writes BC >= delta, the same with -delta. Each spacecraft has one program, of six controls and all slack, solved
+by PIQP. Nothing is checked: it can fail. `rta.filter` is verified.
 """
 
 import numpy as np
@@ -68,6 +69,7 @@ def asif(
         kept = own[:, None], order[own, :k]
         g = np.concatenate((rows[kept].swapaxes(1, 2), (unit / length)[kept][:, None] * np.eye(k)), 1)
         wanted = np.concatenate((desired[own], np.zeros((len(own), k))), 1)
+        # |u - u_des|^2 + |s|^2 with s = sqrt(w) delta
         z, solved = nearest_points(wanted, g, low[kept], CONTROL_SIZE)
         control[own], slack[kept], status[own[solved]] = z[:, :CONTROL_SIZE], z[:, CONTROL_SIZE:], Status.HARD
     slack = np.where(slack * unit > GIVEN, slack * unit, 0.0)
@@ -108,7 +110,8 @@ class PaperFilter:
                 a[broken], b[broken], wanted[broken], weights
             )
         changed = status > Status.UNTOUCHED
-        active = ((a * control[:, None]).sum(2) + b <= GIVEN) & changed[:, None]
+        binding = changed & (status < Status.UNSOLVED)
+        active = ((a * control[:, None]).sum(2) + b <= GIVEN) & binding[:, None]
         applied = np.where(changed[:, None], control * limit, asked)
         found = [torch.from_numpy(part.T).to(x.device) for part in (applied, changed, active, slack, status)]
         u, intervened, active_rows, delta, code = found

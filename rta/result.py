@@ -23,7 +23,7 @@ class FilterResult:
         active: (constraints, B) bool, a row of the constraint binds a corrected control.
         slack: (constraints, B) shortfall of the barrier condition without margin, in h's unit per s (per s^2 where
             the relative degree is two); zero unless a program needed slack, or a broken limit asks for more than the
-            actuators give.
+            actuators give. Zero, too, where the paper's filter finds no solution.
         status: (B,) int64, the worse `Status` of the thrust and the torque program; SLACK, at least, where slack is.
         program_status: (2, B) int64, both of them.
         h: (constraints, B) values without margin, exact; that of passive safety by the times of its rows. Where a

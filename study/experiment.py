@@ -228,12 +228,17 @@ def test_cases(config: Config, episodes: int, seed: int) -> Starts:
     """Returns the common test cases, the same for every agent and device; none depends on how many there are."""
     c = with_hull(config.inspection, config.chief)
     # default gains, so that agents trained behind different filters meet the same cases
-    gains = RtaParameters(passive_safety_segments=config.rta.passive_safety_segments)
-    starts = InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe)
+    edges = config.rta.passive_safety_segments
+    if config.rta.filter == "paper":  # which has none
+        edges = tuple(edge * c.passive_safety_horizon / edges[-1] for edge in edges)
+    gains = RtaParameters(passive_safety_segments=edges)
     with (
-        as_input_error("[inspection]", RuntimeError),
+        as_input_error(
+            "[inspection]: no test cases, whose starts the checked filter accepts", RuntimeError, ValueError
+        ),
         step("drawing the test cases, seconds"),
     ):
+        starts = InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe)
         x, priority = starts.take(episodes)
     return Starts(x, priority, plant_numbers(episodes, seed))
 

@@ -15,6 +15,7 @@ from inspection.model.parameters import ChiefParameters, Limits
 from inspection.world.parameters import PlantParameters
 from ppo.distributed import is_first
 from rta.constraints.names import OWN, PAPERS
+from rta.limits import PAPER
 from rta.printed import source
 from rta.printed.files import implementation
 from settings import override, rules
@@ -24,6 +25,7 @@ from study.experiment import checked_filter, ignores_keep_clear
 from study.files import ROOT, read_json
 
 LIMITS = "limits of your own"
+GAINS = "rta/limits.py"  # of the paper's filter, which are no settings
 # Settings that came later: at their defaults they are what was flown before, and its fingerprint stays.
 LATER = {
     *(f"[inspection] {key}" for key in ("orbit", "eccentricity", "sun_from_perigee", "hill_rotation")),
@@ -31,6 +33,7 @@ LATER = {
     "[rta] rows",
     "[rta] filter",
     LIMITS,
+    GAINS,
     *(f"[plant] {key}" for key in ("simulator", "j2", "drag", "actuators", "errors")),
 }
 POLICIES = ("random", "adversarial")  # each has to have flown
@@ -41,8 +44,19 @@ CHECK = "docs/reference/filter.md"
 REPORTS = "runs/verification"  # below the working directory: a person's own; the shipped ones are below runs/reference
 
 
-def relevant(config: Config, own: Sequence[str] = OWN) -> dict[str, Any]:
+def gains_of(config: Config) -> str:
+    """A digest of the gains and weights of the paper's filter; nothing of another one."""
+    if config.rta.filter != "paper":
+        return ""
+    table = [(name, limit.gains, limit.weight) for name, limit in PAPER.items()]
+    return hashlib.sha256(json.dumps(table).encode()).hexdigest()[:12]
+
+
+def relevant(config: Config, own: Sequence[str] = OWN, gains: str | None = None) -> dict[str, Any]:
     """What the guarantee depends on: values by their names in a configuration file, "[rta] period"; limits of your own.
+
+    Args:
+        gains: as of `gains_of`; None: today's.
 
     Not the episode, nor the solver, whose answers are checked one by one. Of [chief] the hull and its attitude count.
     """
@@ -55,7 +69,7 @@ def relevant(config: Config, own: Sequence[str] = OWN) -> dict[str, Any]:
         "uncertainty": vars(config.uncertainty),
     }
     values = {f"[{table}] {key}": value for table, part in tables.items() for key, value in part.items()}
-    return values | {LIMITS: own}
+    return values | {LIMITS: own, GAINS: gains_of(config) if gains is None else gains}
 
 
 def of_hull(chief: ChiefParameters) -> dict[str, Any]:
@@ -109,7 +123,7 @@ class Flown:
     def relevant(self) -> dict[str, Any]:
         """See `relevant`; with the limits that were counted."""
         own = [name for name in self.report["violating_episodes"] if name not in (*PAPERS, "any")]
-        return relevant(self.config, tuple(own))
+        return relevant(self.config, tuple(own), self.report.get("gains", ""))
 
     @property
     def violating(self) -> int:

@@ -14,7 +14,7 @@ from study.errors import MALFORMED, as_input_error
 from study.files import check_like, read_json
 from study.verification.tally import empty_tally
 from study.verification.tape import CHECK_EVERY
-from study.verified import fingerprint, of_hull
+from study.verified import fingerprint, gains_of, of_hull
 
 WIDTH = 100  # of the text
 LISTED = 12  # sets of constraints with slack together that the text lists
@@ -60,6 +60,7 @@ def empty_report(campaign: Campaign, config: Config) -> dict[str, Any]:
         "starts_beyond_braking": empty_tally(),
         "starts_rejected_by_margin": 0,
         "fingerprint": fingerprint(config),
+        "gains": gains_of(config),
         "config": dataclasses.asdict(config),
     }
 
@@ -88,12 +89,13 @@ def report_in(
             raise ValueError("it is of another command")
         same = type(campaign)(**report["campaign"]) == campaign
         same = same and of_the_same(report["config"], config, path)
+        same = same and report.get("gains", "") == gains_of(config)
         counted = (each.get("violating_episodes", {}).keys() for each in (report, fresh))
         same = same and len(set(map(frozenset, counted))) == 1  # the same limits
     if not same:
         raise InputError(f"--json {path}: holds another campaign or configuration; name another file")
     with as_input_error(f"--json {path}: holds no report to go on with", *MALFORMED):
-        check_like(report, fresh | {"campaign": {}, "config": {}}, ("backup_calls", "fingerprint"))
+        check_like(report, fresh | {"campaign": {}, "config": {}}, ("backup_calls", "fingerprint", "gains"))
         for counts in (report, report.get("starts_beyond_braking", {})):
             counts.setdefault("backup_calls", 0)
         shown(report)
