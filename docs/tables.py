@@ -286,7 +286,10 @@ def open_settings() -> Rows:
         f"{torque:.4f}",
     )
     found = {label: arms("learner")[name] for name, label in OPEN_SETTINGS.items() if name in arms("learner")}
-    yield from rows(found, SUCCESS, VIOLATION, REWARD, TIME, FUEL, metric("torque_n_m"))
+    both = [
+        metric(name, "{iqm} ({mean})") for name in ("reward", "episode_length_s", "delta_v_m_s", "torque_n_m")
+    ]
+    yield from rows(found, SUCCESS, VIOLATION, *both)
 
 
 def performance() -> Rows:
