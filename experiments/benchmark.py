@@ -36,7 +36,7 @@ from rta.qp.programs import Problems, Solver
 from rta.qp.scaled import scale_rows, to_qp
 from settings import load, override
 from study.config import Config
-from study.experiment import AnyFilter, Experiment, load_policy
+from study.experiment import AnyFilter, Experiment, check_is_checked, load_policy
 from study.files import ROOT
 from study.machine import compile_or_explain, wants_compile
 from study.verification import measure as demands
@@ -380,6 +380,7 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
         samples at once, or programs for `qp_us`. `closed_loop_us` has `parts_of_a_step` by batch, `compile_s` what
         `compile_times` says, `random_call_us` us a call under random demands, `filter` what filters were measured.
     """
+    check_is_checked(config)
     config = override(config, {"train": {"rta": True}, "rta": {"qp_solver": "batched"}}, "benchmark")
     compiled, largest = wants_compile(config.train.compile, math.inf), max(batches)
     named = filters(config)
@@ -405,9 +406,9 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
     agent = untrained(experiment)
     met = record(experiment, agent)
     robust_met = record(robust, agent)  # the other filter leads to states that this one keeps away from
-    of_paper = override(named["1"], {"rta": {"filter": "paper", "qp_solver": "piqp"}}, "benchmark")
-    paper = built(of_paper, typical).filter
-    assert isinstance(paper, FlownPaperFilter)
+    paper = FlownPaperFilter(config.inspection)
+    if compiled:
+        compile_or_explain("the paper's filter", partial(paper.compile, device, typical))
     papers = paper_filter_rates(paper, *met, typical)
     single = {
         "paper_filter_latency_ms": single_latencies(paper, *met),

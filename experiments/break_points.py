@@ -21,7 +21,7 @@ from inspection.world.parameters import PlantParameters
 from rta.constraints.names import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
 from settings import InputError, override
 from study.config import Config
-from study.experiment import Experiment
+from study.experiment import Experiment, check_is_checked
 from study.files import write_json
 from study.flight.figures import GREY, SAFE, UNSAFE
 from study.machine import bar
@@ -137,6 +137,7 @@ def measure(worlds: Worlds, config: Config, path: Path | None) -> dict[str, Any]
     """
     if config.plant != PlantParameters() or not config.uncertainty.is_zero:
         raise InputError("break-points brings its own worlds; leave out [plant] and [uncertainty]")
+    check_is_checked(config)
     # refuses before there is a bar what would refuse every world
     Experiment(replace(config, train=replace(config.train, compile="off")), worlds.episodes)
     report = report_in(path, worlds, config, table, empty_report)

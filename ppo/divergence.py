@@ -26,7 +26,7 @@ class KLPrice:
         self.value = torch.full((seeds,), first, device=device)
 
     def update(self, kl: Tensor) -> None:
-        """Answer the mean divergence (S,) of an update in nats."""
+        """Adapt the price to the mean divergence (S,) of an update in nats."""
         self.value = torch.where(kl > FAR * self.target, RISE * self.value, self.value)
         self.value = torch.where(kl < NEAR * self.target, FALL * self.value, self.value)
 

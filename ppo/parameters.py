@@ -27,12 +27,15 @@ class PPOParameters(Settings):
         0.5, "weight of the mean squared value error in the loss", most=LARGEST_WEIGHT
     )
     value_clip: float = setting(
-        math.inf, "squared value error beyond which a sample teaches nothing", above=0, most=math.inf
+        math.inf,
+        "largest squared value error in the loss; above it a sample has no gradient",
+        above=0,
+        most=math.inf,
     )
     kl_price: float = setting(
         0.0, "first price of the divergence of the policy in an update, per nat", most=LARGEST_WEIGHT
     )
-    kl_target: float = setting(0.01, "nats; the price rises where an update moves further", above=0)
+    kl_target: float = setting(0.01, "nats; the price rises above twice of it and falls below half", above=0)
     privileged: bool = setting(
         False, "show the value network, beside the observation, what is left to inspect, and the time"
     )

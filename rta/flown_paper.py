@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Safety
+from inspection.fixed import Fixed
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state_checks import is_state
 from inspection.model.tensors import check_tensors
@@ -19,7 +20,7 @@ from rta.paper import PaperFilter
 from rta.result import FilterResult
 
 
-class FlownPaperFilter(PaperFilter):
+class FlownPaperFilter(Fixed, PaperFilter):
     """`PaperFilter` with what commands ask of a filter. Call it as a function, of one spacecraft or of many.
 
     Args:
@@ -31,7 +32,9 @@ class FlownPaperFilter(PaperFilter):
         compiled: `evaluated`; None: it is not. PIQP solves the programs all the same.
     """
 
+    FIXED = ("c", "limits", "names", "period")
     unchecked = ["motion", "attitude"]  # noqa: RUF012
+    c: InspectionParameters
 
     def __init__(
         self,
@@ -39,8 +42,7 @@ class FlownPaperFilter(PaperFilter):
         period: float = 1.0,
         limits: dict[str, Limit] = PAPER,
     ) -> None:
-        self.c: InspectionParameters = c or InspectionParameters()
-        super().__init__(self.c, limits)
+        super().__init__(c or InspectionParameters(), limits)
         self.period = period
         self.compiled: Compiled | None = None
 

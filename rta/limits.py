@@ -2,7 +2,7 @@
 
 Every h is exact: no margin, no floor, nothing smoothed; where it has no slope, the slope is 0. Each is written for one
 spacecraft, the component axis first; trailing axes are the batch: states (16, ...) to (...), with the task's constants
-c. All that reports a limit, checks it or plots it takes h from here.
+c. Reports, campaigns and both filters take h from here.
 """
 
 import math
@@ -29,7 +29,7 @@ class Limit(NamedTuple):
     Attributes:
         h: of states (16, ...) and the task's constants; not negative where the limit is kept.
         gains: of the class-K functions alpha_j(z) = k_j z, 1/s; one for each relative degree.
-        weight: of its slack squared; None: it must hold.
+        weight: of its slack squared; None, or 0 as in the paper: it must hold.
     """
 
     h: Callable[[Tensor, Limits], Tensor]

@@ -53,12 +53,12 @@ def asif(
 ) -> tuple[ndarray, ndarray, ndarray]:
     """Returns controls (n, 6), slack (n, R) and `Status` (n,) of n programs; zeros of one that PIQP does not solve.
 
-    Controls are in units of the actuators' limits, a (n, R, 6), b (n, R) and desired (n, 6), too. A row of weight None
-    has no slack. Variables are the controls and sqrt(w) delta, so that the cost is a distance; rows have length 1, and
-    those that no control within the limits breaks are left out.
+    Controls are in units of the actuators' limits, a (n, R, 6), b (n, R) and desired (n, 6), too. A row of weight
+    None or 0 has no slack. Variables are the controls and sqrt(w) delta, so that the cost is a distance; rows have
+    length 1, and those that no control within the limits breaks are left out.
     """
-    unit = np.array([0.0 if weight is None else weight**-0.5 for weight in weights])
-    length = np.sqrt((a**2).sum(2) + unit**2)
+    unit = np.array([weight**-0.5 if weight else 0.0 for weight in weights])
+    length = np.sqrt((a**2).sum(2) + unit**2).clip(min=1e-30)  # of a row that nothing changes
     rows, low, slack = a / length[..., None], -b / length, np.zeros_like(b)
     control, status = np.zeros_like(desired), np.full(len(b), int(Status.UNSOLVED))
     short = low + np.abs(rows).sum(2)  # of a row, under the worst control

@@ -171,7 +171,7 @@ def filter_of(config: Config) -> AnyFilter:
         return checked_filter(config)
     if config.chief.collision == "hull":
         raise InputError('[rta] filter = "paper": keeps clear of a sphere; must be "checked" beside a hull')
-    if not config.uncertainty.is_zero:
+    if config.train.rta and not config.uncertainty.is_zero:
         raise InputError(
             '[rta] filter = "paper": knows no [uncertainty]; must be "checked" with error bounds'
         )

@@ -4,7 +4,7 @@ import numpy as np
 import piqp
 from numpy import ndarray
 
-# What large weights leave few digits for: where much slack is given, the first cannot be reached.
+# Tried in this order: beside much slack of a large weight, float64 cannot reach the first one.
 TOLERANCES = 1e-11, 1e-9
 
 

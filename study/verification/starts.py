@@ -100,7 +100,7 @@ def safely(safety_filter: AnyFilter) -> Callable[[Tensor], Tensor]:
 
 
 def holdable(x: Tensor, safety_filter: AnyFilter) -> Tensor:
-    """Tells which starts (16, B) count, (B,) bool: none beyond the keep-in barrier of a filter that has its own."""
+    """Tells which starts (16, B) count, (B,) bool: with the checked filter, those where thrust can keep the zone."""
     if isinstance(safety_filter, FlownPaperFilter):
         return torch.ones_like(x[0], dtype=torch.bool)
     return safety_filter.can_brake(x)

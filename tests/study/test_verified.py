@@ -40,7 +40,8 @@ def put(config: Config, policy: str, **more: Any) -> None:
 @pytest.mark.parametrize(
     "path",
     sorted((ROOT / "runs/reference").glob("verification/*.json"))
-    + sorted((ROOT / "runs/reference").glob("frequency/*.json")),
+    + sorted((ROOT / "runs/reference").glob("frequency/*.json"))
+    + sorted((ROOT / "runs/reference").glob("paper_filter/*.json")),
     ids=lambda p: p.stem,
 )
 def test_the_shipped_reports_hold_the_fingerprint_of_their_rules(path: Path) -> None:
