@@ -270,25 +270,11 @@ OPEN_SETTINGS = {
 
 def open_settings() -> Rows:
     """Yields what the paper's agents without RTA fly, then those with one setting of the learner each."""
-    papers = [
-        PAPER_METRICS[name].by_arm["no_rta"].value
-        for name in ("reward", "episode_length_s", "delta_v_m_s", "torque_n_m")
-    ]
-    reward, time, fuel, torque = papers
-    violated = PAPER_VIOLATIONS["any"].by_arm["no_rta"].value
-    yield (
-        "*the paper's agents*",
-        "",
-        f"{violated:.3f}",
-        f"{reward:.3f}",
-        f"{time:,.0f}",
-        f"{fuel:.2f}",
-        f"{torque:.4f}",
-    )
+    names = "reward", "episode_length_s", "delta_v_m_s", "torque_n_m"
+    papers = [f"{PAPER_METRICS[name].by_arm['no_rta'].value:,.{DIGITS[name]}f}" for name in names]
+    yield "*the paper's agents*", "", f"{PAPER_VIOLATIONS['any'].by_arm['no_rta'].value:.3f}", *papers
     found = {label: arms("learner")[name] for name, label in OPEN_SETTINGS.items() if name in arms("learner")}
-    both = [
-        metric(name, "{iqm} ({mean})") for name in ("reward", "episode_length_s", "delta_v_m_s", "torque_n_m")
-    ]
+    both = [metric(name, "{iqm} ({mean})") for name in names]
     yield from rows(found, SUCCESS, VIOLATION, *both)
 
 

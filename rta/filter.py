@@ -25,7 +25,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE
 from inspection.model.state_checks import is_state
 from inspection.model.tensors import check_tensors
-from kernels.build import NoCompilerError, say
+from kernels.build import NoCompilerError
 from kernels.compiled import Compiled
 from kernels.modes import in_full_precision
 from rta.backup.commit import Check
@@ -37,7 +37,7 @@ from rta.constraints import vehicle
 from rta.constraints.constraint import Constraint, in_order, joined
 from rta.constraints.thrust import keep_in_zone, thrust_constraints
 from rta.constraints.torque import torque_constraints
-from rta.filter_input import FilterInput, probe
+from rta.filter_input import FilterInput, compiled_for_one, probe
 from rta.parameters import RtaParameters
 from rta.printed.batch import BatchFilter, Flights
 from rta.propose import Propose
@@ -280,12 +280,9 @@ class SafetyFilter(Fixed):
     @cached_property
     def _for_one(self) -> "SafetyFilter":
         """This filter for one spacecraft at a time: compiled, where it can be."""
-        other = SafetyFilter(self.c, self.parameters, self._given_solver, self.extra, self.uncertainty)
-        try:
-            other.compile("cpu", 1)
-        except (NoCompilerError, NotImplementedError) as error:
-            say(f"{error}: the filter is not compiled, which makes it slower")
-        return other
+        return compiled_for_one(
+            SafetyFilter(self.c, self.parameters, self._given_solver, self.extra, self.uncertainty)
+        )
 
     @in_full_precision
     def correct(

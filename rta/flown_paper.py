@@ -11,10 +11,9 @@ from inspection.fixed import Fixed
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state_checks import is_state
 from inspection.model.tensors import check_tensors
-from kernels.build import NoCompilerError, say
 from kernels.compiled import Compiled
 from kernels.modes import in_full_precision
-from rta.filter_input import FilterInput, probe
+from rta.filter_input import FilterInput, compiled_for_one, probe
 from rta.limits import PAPER, Limit
 from rta.paper import PaperFilter
 from rta.result import FilterResult
@@ -91,12 +90,7 @@ class FlownPaperFilter(Fixed, PaperFilter):
     @cached_property
     def _for_one(self) -> "FlownPaperFilter":
         """This filter, compiled where it can be."""
-        other = FlownPaperFilter(self.c, self.period, self.limits)
-        try:
-            other.compile("cpu", 1)
-        except (NoCompilerError, NotImplementedError) as error:
-            say(f"{error}: the filter is not compiled, which makes it slower")
-        return other
+        return compiled_for_one(FlownPaperFilter(self.c, self.period, self.limits))
 
     def safety(self, enabled: bool = True) -> Safety:
         """Returns what the environment needs; `enabled`: this filter, too."""

@@ -70,9 +70,8 @@ def keep_in_zone(x: Tensor, c: Limits) -> Tensor:
 def passive_safety(x: Tensor, c: Limits) -> Tensor:
     """inf of |p(t)| over the free flight of the next T_f, less r_d + r_c, m (Sec. Passively Safe Maneuvers)."""
     edges = tuple(c.passive_safety_horizon * i / PARTS for i in range(PARTS + 1))
-    t = closest_times(
-        x.detach(), edges, c
-    )  # found to 1e-5 m; the slope of an infimum is that of |p(t)| at its t
+    # to 1e-5 m; the slope of an infimum is that of |p(t)| at its t
+    t = closest_times(x.detach(), edges, c)
     return norm(coast(x, t, c)).amin(0) - c.collision_radius
 
 

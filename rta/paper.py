@@ -105,7 +105,7 @@ class PaperFilter:
         status = np.where((control != wanted).any(1), int(Status.HARD), int(Status.UNTOUCHED))
         broken = ~((a * control[:, None]).sum(2) + b >= 0.0).all(1)
         if broken.any():
-            weights = [limit.weight for limit in self.limits.values()]
+            weights = [each.weight for each in self.limits.values()]
             control[broken], slack[broken], status[broken] = asif(
                 a[broken], b[broken], wanted[broken], weights
             )

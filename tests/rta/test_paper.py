@@ -13,7 +13,6 @@ from torch import Tensor
 
 from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
-from kernels.build import NoCompilerError, compiler
 from rta.constraints.names import PAPERS
 from rta.filter import SafetyFilter
 from rta.flown_paper import FlownPaperFilter
@@ -21,6 +20,7 @@ from rta.limits import PAPER, WEIGHT, Limit
 from rta.paper import PaperFilter, asif, barrier_conditions
 from rta.parameters import PERIODS
 from rta.qp.programs import Status
+from study.machine import finds_compiler
 from study.verification.starts import safe_set
 from tests.oracles import (
     IN_FLIGHT,
@@ -40,14 +40,6 @@ from tests.support.states import at_rest
 
 LIMIT = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
 WEIGHTS = [limit.weight for limit in PAPER.values()]
-
-
-def finds_compiler() -> bool:
-    try:
-        compiler()
-    except NoCompilerError:
-        return False
-    return True
 
 
 @pytest.fixture(scope="module")
@@ -301,7 +293,7 @@ def test_a_call_takes_and_gives_numpy_of_one_spacecraft() -> None:
 
 
 def test_it_fails_where_the_checked_filter_does_not() -> None:
-    """The paper's rows do not say that braking still suffices: flown with opposite demands, limits break."""
+    """Called every 10 s under controls that are held throughout, it lets limits break."""
     x = safe_set(64, 0, SafetyFilter(C))[0]
     paper_, checked = FlownPaperFilter(C, 10.0), SafetyFilter(InspectionParameters())
     y, desired = x.clone(), drawn(64, seed=9)
