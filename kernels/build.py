@@ -257,9 +257,11 @@ def for_vectors(real: str) -> str:
     """What stands before functions that are printed for vectors of numbers, "double" or "float"."""
     lanes = vector_bytes() // (8 if real == "double" else 4)
     whole = "long" if real == "double" else "int"  # what comparisons give
-    head = [f"#define W {lanes}", f"typedef {whole} whole;", "#include <stdint.h>", "#include <string.h>"]
+    head = [f"#define W {lanes}", f"typedef {whole} whole;", "#include <stdint.h>"]
+    head += ["#include <stdlib.h>", "#include <string.h>"]
     head.append(f"#define LANES(f) {', '.join(f'f(a[{lane}])' for lane in range(lanes))}")
     head.append(f"#define LANES_OF_TWO(f) {', '.join(f'f(a[{lane}], b[{lane}])' for lane in range(lanes))}")
+    head.append(f"#define OF_RECORDS(place) {', '.join(f'at[{lane}]->place' for lane in range(lanes))}")
     suffix = "" if real == "double" else "f"
     by_lane = [f"BY_LANE({name.upper()}, {name}{suffix}, inline)" for name in QUICK]
     by_lane += [f"BY_LANE({macro(name, real)}, {name}{suffix}, )" for name in OF_ONE]

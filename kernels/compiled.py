@@ -17,6 +17,8 @@ from kernels.build import for_vectors
 from kernels.printer import Part, Printed, printed
 
 WORTH_A_THREAD = 6e-5  # s of computing that repay handing a share to a thread
+WORTH_A_FILE = 4000  # lines of C that another process of the compiler repays
+SHARED = '__attribute__((visibility("hidden")))'  # by the files of a library, with nobody else
 PROBED = 512  # columns whose time says what a column takes
 
 DTYPES = {"double": torch.float64, "float": torch.float32, "bool": torch.bool, "long": torch.int64}
@@ -46,7 +48,7 @@ class Compiled:
         long: int = 0,
     ) -> None:
         if examples[0].device.type == "cpu":
-            self.run: Callable[..., Parts] = Kernel(printed(function, *examples, long=long))
+            self.run: Callable[..., Parts] = Kernel(printed(function, *examples, long=long), examples)
         else:
             self.run = torch.compile(with_own_code(function), dynamic=True)
             self(*(example.expand(*example.shape[:-1], batch).contiguous() for example in examples))
@@ -66,19 +68,22 @@ class Kernel:
     """A printed function of batches, on as many of PyTorch's threads as it is worth.
 
     Args:
+        examples: arguments of one column, whose time tells what a column takes.
         library: that `batch(function)` is in; None: one of its own.
     """
 
-    def __init__(self, function: Printed, library: ctypes.CDLL | None = None) -> None:
+    def __init__(
+        self, function: Printed, examples: Sequence[Tensor], library: ctypes.CDLL | None = None
+    ) -> None:
         self.parts, self.shapes, self.dtypes = function.inputs, function.shapes, function.dtypes
         self.inputs = [i for i, shape in enumerate(function.given) if 0 not in shape]
         if library is None:
-            text = for_vectors(function.real) + function.text + batch(function)
-            library = build.library({function.name: text})
+            library = build.library(sources(function))
         self.run = over_columns(library, f"{function.name}_batch", ctypes.c_long)
+        self.run.restype = ctypes.c_long
         self.seconds = 0.0  # of a column
-        examples = [torch.ones(*p.shape, PROBED, dtype=DTYPES[p.kind]) for p in function.inputs]
-        self.seconds = min(timed(self.of, examples, PROBED) for _ in range(3)) / PROBED
+        probe = [examples[i].expand(*examples[i].shape[:-1], PROBED).contiguous() for i in self.inputs]
+        self.seconds = min(timed(self.of, probe, PROBED) for _ in range(3)) / PROBED
 
     def __call__(self, *tensors: Tensor, times: int = 1) -> Parts:
         """What the function returns, or after several calls in a row, see `batch`."""
@@ -96,8 +101,28 @@ class Kernel:
         found = [x for x in results if x.numel()]
         if columns:
             arguments = (*pointers(given), *pointers(found), times)
-            in_shares(lambda first, last: self.run(first, last, *arguments), columns, self.seconds * times)
+            if in_shares(
+                lambda first, last: self.run(first, last, *arguments), columns, self.seconds * times
+            ):
+                raise MemoryError("for columns that wait")
         return results
+
+
+def sources(function: Printed, apart: bool = True) -> dict[str, str]:
+    """A printed function and `batch` of it in C, by file.
+
+    Args:
+        apart: of a long one what it calls is a file of its own, which is compiled beside it.
+    """
+    head, own = for_vectors(function.real), function.waiting or function.text + batch(function)
+    if not apart or sum(part.count("\n") for part in function.parts) < WORTH_A_FILE:
+        return {function.name: "\n".join([head, *function.parts, own])}
+    parts = [part.replace("\nstatic void ", f"\n{SHARED} void ", 1) for part in function.parts]
+    declared = [part[part.index(SHARED) : part.index("\n{")] + ";" for part in parts]
+    return {
+        f"{function.name}_parts": "\n".join([head, *declared, *parts]),
+        function.name: "\n".join([head, *declared, own]),
+    }
 
 
 def check(name: str, x: Tensor, dtype: torch.dtype, shape: tuple[int, ...]) -> None:
@@ -115,9 +140,9 @@ def batch(function: Printed) -> str:
     """
     inputs, outputs = function.inputs, function.outputs
     both = (*inputs, *outputs)
-    call = f"{function.name}({', '.join(part.name for part in both)});"
+    call = f"{function.name}({', '.join([*(['YES'] if function.is_told else []), *(part.name for part in both)])});"
     lines = [
-        f"void {function.name}_batch(long first, long last, const void *const *in, const long *in_step,",
+        f"long {function.name}_batch(long first, long last, const void *const *in, const long *in_step,",
         "    void *const *out, const long *out_step, long times)",
         "{",
         "    for (long column = first; column < last; column += W) {",
@@ -128,6 +153,7 @@ def batch(function: Printed) -> str:
         *repeated(function, call),
         *(moved(part, f"out[{i}]", f"out_step[{i}]", "store_{1}({2}, {0}[k]);") for i, part in enumerate(outputs)),
         "    }",
+        "    return 0;",
         "}",
         "",
     ]  # fmt: skip

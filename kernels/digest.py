@@ -9,6 +9,7 @@ import functools
 import hashlib
 import importlib.util
 import platform
+import re
 import sys
 import sysconfig
 import threading
@@ -194,6 +195,8 @@ PARTS: list[tuple[Any, Callable[[Any], Iterable[Any]]]] = [
     (BUILTINS, of_builtin),
     (types.MappingProxyType, lambda it: (dict(it),)),
     (type(threading.RLock()), lambda it: ()),
+    (threading.local, lambda it: ()),  # of a run, as locks are
+    (re.Pattern, lambda it: (it.pattern, it.flags)),
     (functools._lru_cache_wrapper, lambda it: (it.__wrapped__,)),
     (functools.partial, lambda it: (it.func, it.args, it.keywords)),
     (functools.cached_property, lambda it: (it.func,)),

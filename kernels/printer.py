@@ -2,19 +2,23 @@
 
 A printed function takes and fills arrays of V, component first, and nothing else: V is a number, or a vector of the
 compiler's with one column per lane. What is printed does not depend on which; `vector.h` and `scalar.h` say what V is.
+Only calls and loops do (`kernels.control`): for vectors they say in which columns they are wanted.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from kernels.calls import recorded
 from kernels.modes import in_full_precision
-from kernels.operations.expressions import Program
-from kernels.recorder import Recorder, evaluated
-from kernels.text import TYPES, Body, Part
+from kernels.parts import Part
+from kernels.text import Body
+from kernels.waiting import waiting
 
+CALL = re.compile(r"^ +(\w+)\(", re.MULTILINE)  # a statement of C
 LEAST_LONG = 64  # an axis of less may be as long as another one
 
 
@@ -27,6 +31,9 @@ class Printed:
         real: the type of its numbers; statements: how many it has.
         text: of the function.
         shapes, dtypes: of all results; given: shapes of all arguments, also of those without components.
+        is_told: its first argument in C says in which columns it is wanted.
+        parts: the functions that it calls; those that are called stand before others.
+        waiting: what computes a batch in its place where loops wait, see `kernels.waiting`; "": none does.
     """
 
     name: str
@@ -38,6 +45,9 @@ class Printed:
     shapes: list[torch.Size]
     given: list[torch.Size]
     dtypes: list[torch.dtype]
+    is_told: bool
+    parts: list[str]
+    waiting: str
 
 
 @in_full_precision
@@ -47,6 +57,7 @@ def printed(
     name: str = "run",
     long: int = 0,
     names: tuple[Sequence[str], Sequence[str]] | None = None,
+    single: bool = False,
 ) -> Printed:
     """A function of tensors (..., B), whose columns are independent, as C for one column or a vector of them.
 
@@ -59,49 +70,47 @@ def printed(
         long: length of an axis that is looped over instead of written out, as of a table of points; 0: none is.
             The length of another axis must be no multiple of it.
         names: of arguments and results in C; None: x0, x1, ... and y0, y1, ...
+        single: for one column only.
 
     Raises:
         NotImplementedError: an operation of it cannot be printed; names it, and the line that wants it.
     """
-    given, found = names or ([f"x{i}" for i in range(len(examples))], None)
-    inputs = [part_of(n, x) for n, x in zip(given, examples, strict=True)]
-    real = "float" if {"float"} <= {part.kind for part in inputs} <= {"float", "bool"} else "double"
-    recorder = Recorder(Program(real), long)
-    results, values = evaluated(function, examples, inputs, recorder)
-    if real == "float" and recorder.is_double:
-        recorder = Recorder(Program("double"), long)
-        results, values = evaluated(function, examples, inputs, recorder)
-    found = found or [f"y{i}" for i in range(len(results))]
-    outputs = [part_of(n, y) for n, y in zip(found, results, strict=True)]
-    body = Body(recorder.program, long)
-    for part, array in zip(outputs, values, strict=True):
-        body.returns(part, array)
-    some, others = ([part for part in parts if part.size] for parts in (inputs, outputs))
-    text, count = body.text(name, some, others)
+    found, called = recorded(function, examples, name, names, long, single)
+    own, *others = (Body(each, called) for each in (found, *called.by_name.values()))
+    text, statements = own.text(is_told=own.asks)
+    batch = "" if single else waiting(own)
+    texts = {body.function.name: body.text(is_told=not single) for body in others}
+    needed = called_by(batch or text, {name: part for name, (part, _) in texts.items()})
     return Printed(
-        name,
-        some,
-        others,
-        recorder.program.real,
-        count,
-        text,
-        [y.shape[:-1] for y in results],
-        [x.shape[:-1] for x in examples],
-        [y.dtype for y in results],
+        name=name,
+        inputs=[part for part in found.inputs if part.size],
+        outputs=[part for part in found.outputs if part.size],
+        real=called.real,
+        statements=statements + sum(texts[name][1] for name in needed),
+        text=text,
+        shapes=[torch.Size(part.shape) for part in found.outputs],
+        given=[torch.Size(part.shape) for part in found.inputs],
+        dtypes=found.dtypes,
+        is_told=own.asks,
+        parts=[f"{comment(called.by_name[name].about)}\n{texts[name][0]}" for name in needed],
+        waiting=batch,
     )
+
+
+def called_by(text: str, parts: dict[str, str]) -> list[str]:
+    """The names of the functions that a text calls, directly or not; each calls only those before it."""
+    wanted = set(CALL.findall(text))
+    for name in reversed(parts):
+        if name in wanted:
+            wanted |= set(CALL.findall(parts[name]))
+    return [name for name in parts if name in wanted]
+
+
+def comment(about: str) -> str:
+    """A line of C that says something, or an empty one."""
+    return f"/* {about.replace('*/', '* /')} */" if about else ""
 
 
 def if_long(length: int) -> int:
     """`long` of `printed` for an axis of any length: 0 where another one may be as long, so that it is written out."""
     return length if length >= LEAST_LONG else 0
-
-
-def part_of(name: str, column: Tensor) -> Part:
-    """A tensor (..., 1) as an argument or a result."""
-    if not column.dim() or column.shape[-1] != 1:
-        raise NotImplementedError(
-            f"{name} of shape {tuple(column.shape)} has no columns and cannot be printed as C"
-        )
-    if column.dtype not in TYPES:
-        raise NotImplementedError(f"{name} of {column.dtype} cannot be printed as C")
-    return Part(name, tuple(column.shape[:-1]), TYPES[column.dtype])

@@ -24,7 +24,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from kernels.operations.aten import Operations
 from kernels.operations.expressions import MASK, NUMBER, Program, Value, kind_of
 from kernels.operations.shapes import filled
-from kernels.text import TYPES, Part, element
+from kernels.parts import TYPES, Called, Part, element
 
 INTEGERS = {torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8}  # numbers without a fraction here
 PLACES_AND_TYPES = {"dtype", "device", "layout", "pin_memory", "memory_format", "implicit", "non_blocking"}
@@ -37,6 +37,16 @@ OF_SHAPE = {
     "_new_zeros_with_same_feature_meta",
 }
 RECORDING = threading.RLock()  # the garbage collector is everybody's
+
+
+class Active(threading.local):
+    """This thread's recorders at work: each records a function that the one before it calls."""
+
+    def __init__(self) -> None:
+        self.all: list[Recorder] = []
+
+
+ACTIVE = Active()
 SEEN_BY = (Tensor.tolist, Tensor.numpy, Tensor.__array__)  # without an operation
 BRANCH = "values that decide what is computed, as in `if`, float() or x[x > 0], cannot be printed as C: use torch.where"
 
@@ -65,15 +75,21 @@ class Recorder(TorchDispatchMode):
     Tensors that share memory have arrays that do, so that what is written in place is seen in all of them. A tensor
     that no recorded operation made is a constant. What is computed from constants alone, PyTorch has computed.
 
+    Args:
+        on: the columns in which the function is wanted; True: there is one column.
+        called: takes the functions that this one calls.
+
     Attributes:
         known: each tensor by its id; written, torn: memory that is not fixed any more, or that some view's array does
             not share.
         is_double: float64 was computed.
+        is_aside: nothing is recorded now.
     """
 
-    def __init__(self, program: Program, long: int) -> None:
+    def __init__(self, program: Program, long: int, on: Value, called: Called) -> None:
         super().__init__()
         self.program, self.operations = program, Operations(program, long)
+        self.on, self.called, self.is_aside = on, called, False
         self.known: dict[int, Known] = {}
         self.written: set[int] = set()
         self.torn: set[int] = set()
@@ -83,6 +99,15 @@ class Recorder(TorchDispatchMode):
     def _should_skip_dynamo(cls) -> bool:
         """Of PyTorch's: no, nothing is compiled in here. Yes loads its compiler, which takes a second or two."""
         return False
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Records nothing meanwhile."""
+        before, self.is_aside = self.is_aside, True
+        try:
+            yield
+        finally:
+            self.is_aside = before
 
     def put(self, tensor: Tensor, array: ndarray, fixed: bool = False) -> None:
         """Says what a tensor's values are."""
@@ -94,6 +119,8 @@ class Recorder(TorchDispatchMode):
         """The values of a tensor, and of those in lists; anything else as it is."""
         if isinstance(given, Tensor):
             if id(given) not in self.known:
+                if any(id(given) in other.known and not other.is_fixed(given) for other in ACTIVE.all[:-1]):
+                    raise NotImplementedError(f"of a tensor {tuple(given.shape)} that the body was not given")
                 array = self.constant(given)
                 array.flags.writeable = False  # it is not the function's own
                 self.put(given, array, fixed=True)
@@ -124,6 +151,8 @@ class Recorder(TorchDispatchMode):
     def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         """One operation."""
         result = function(*args, **(kwargs or {}))
+        if self.is_aside:
+            return result
         try:
             self.record(function, result, args, kwargs or {})
         except Unprintable:  # of what it is made of
@@ -221,27 +250,31 @@ class Watch(TorchFunctionMode):
 
     def __torch_function__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         """Any call of PyTorch's."""
-        if function in SEEN_BY and not self.recorder.is_fixed(args[0]):
+        if function in SEEN_BY and not self.recorder.is_aside and not self.recorder.is_fixed(args[0]):
             raise Unprintable(explained("", BRANCH))
         return function(*args, **(kwargs or {}))
 
 
 @torch.no_grad()
 def evaluated(
-    function: Callable[..., Sequence[Tensor]],
+    function: Callable[..., Any],
     examples: Sequence[Tensor],
     parts: Sequence[Part],
     recorder: Recorder,
-) -> tuple[Sequence[Tensor], list[ndarray]]:
-    """What a function returns of examples, and the values of that, (..., 1) each; `parts` are its arguments."""
+) -> tuple[Any, list[ndarray]]:
+    """What a function returns of examples, and the values of its tensors, (..., 1) each; `parts` are its arguments."""
     inputs = [x.clone() for x in examples]
     for part, x in zip(parts, inputs, strict=True):
         array = argument(recorder, part)
         array.flags.writeable = False
         recorder.put(x, array)
     with RECORDING, uncollected(), Watch(recorder), recorder:
-        results = function(*inputs)
-    return results, [recorder.values(each) for each in results]
+        ACTIVE.all.append(recorder)
+        try:
+            results = function(*inputs)
+        finally:
+            ACTIVE.all.pop()
+    return results, [recorder.values(each) for each in tensors(results)]
 
 
 def argument(recorder: Recorder, part: Part) -> ndarray:

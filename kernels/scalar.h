@@ -18,3 +18,5 @@ typedef int M;
 #define SINGLE(a) ((V)(float)(a))
 /* an entry of a table of so many; where there is none, the first */
 #define LOOKUP(table, count, at) ((table)[((at) >= 0 && (at) < (count)) ? (long)(at) : 0])
+/* an index into so many entries; where there is none, the last */
+#define PLACE(count, at) (((at) >= 0 && (at) < (count)) ? (long)(at) : (count) - 1)

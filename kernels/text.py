@@ -1,93 +1,112 @@
 """Expressions as the lines of a function in C."""
 
 import math
+import re
 import textwrap
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
-import torch
 from numpy import ndarray
 
-from kernels.operations.expressions import MASK, NUMBER, REDUCTIONS, Expression, Program, Value, kind_of
+from kernels.calls import ONCE
+from kernels.operations.expressions import MASK, NUMBER, REDUCTIONS, Expression, Value, kind_of
+from kernels.parts import Called, Part, Recorded, element
 
-# in memory
-TYPES = {torch.float64: "double", torch.float32: "float", torch.bool: "bool", torch.int64: "long"}
 INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "=="}
-WIDTH = 110  # of a table's lines
+WIDTH = 120  # of lines
+LOOPS = ("loop", "waiting")
 START = {"sum": 0.0, "least": math.inf, "most": -math.inf, "any": False}
 
 
-@dataclass(frozen=True)
-class Part:
-    """An argument or a result of a printed function.
+class Repeated(NamedTuple):
+    """A loop, or what is called where a condition holds.
 
     Attributes:
-        name: in C; shape: per column; kind: "double", "float", "bool" or "long" in memory.
+        callee: the body; state: what it changes; given: what it is given beside that.
+        most: how often it goes round, ONCE: see `kernels.control.when`; alive: where; start, values: what the state is
+            before, and what is given.
     """
 
-    name: str
-    shape: tuple[int, ...]
-    kind: str
+    callee: Recorded
+    state: list[Part]
+    given: list[Part]
+    most: str
+    alive: Value
+    start: list[Value]
+    values: list[Value]
 
     @property
-    def size(self) -> int:
-        """How many components it has."""
-        return math.prod(self.shape)
-
-    @property
-    def is_mask(self) -> bool:
-        """Whether it holds truth values."""
-        return self.kind == "bool"
+    def passed(self) -> list[Part]:
+        """The part of the state that the body is given."""
+        return [] if self.most == ONCE else self.state
 
 
 class Body:
     """The lines of a printed function.
 
     What varies along the long axis is computed in loops over it, one for each stage of reductions.
+
+    Attributes:
+        stores: what the function fills: place, value, kind; needed: all that these are made of.
+        asks: it calls functions that are told where they are wanted.
     """
 
-    def __init__(self, program: Program, long: int) -> None:
-        self.program, self.long = program, long
-        self.tables = list(program.tables.values())
-        self.stores: list[tuple[str, Value, str]] = []  # place, value, kind
+    def __init__(self, function: Recorded, called: Called) -> None:
+        self.function, self.called, self.long = function, called, function.long
+        self.tables = list(function.program.tables.values())
+        self.stores = [
+            store
+            for each in zip(function.outputs, function.values, strict=True)
+            for store in self.filled(*each)
+        ]
+        self.needed = with_arguments(
+            function.program.expressions, indices(value for _, value, _ in self.stores)
+        )
+        self.asks = not called.single and any(each.operation in (*LOOPS, "call") for each in self.needed)
 
-    def returns(self, part: Part, array: ndarray) -> None:
-        """Has the function fill an output."""
-        shape = array.shape[:-1]
-        for place in np.ndindex(shape):
-            value, text = array[(*place, 0)], element(part, place, shape)
-            value = self.program.mask(value) if part.is_mask else self.program.number(value)
-            self.stores.append((text, value, MASK if part.is_mask else NUMBER))
+    def filled(self, part: Part, array: ndarray) -> list[tuple[str, Value, str]]:
+        """What fills an output."""
+        p, shape = self.function.program, array.shape[:-1]
+        kind, as_kind = (MASK, p.mask) if part.is_mask else (NUMBER, p.number)
+        return [
+            (element(part, place, shape), as_kind(array[(*place, 0)]), kind) for place in np.ndindex(shape)
+        ]
 
-    def text(self, name: str, inputs: Sequence[Part], outputs: Sequence[Part]) -> tuple[str, int]:
-        """The function, and how many statements it has."""
+    def text(self, is_told: bool) -> tuple[str, int]:
+        """The function, and how many statements it has; `is_told`: in which columns it is wanted."""
         lines = self.lines()
         whole = "\n".join(lines)
-        lines += [f"    (void){part.name};" for part in inputs if f"{part.name}[" not in whole]
-        given = [f"const {letter(part.is_mask)} {part.name}[{part.size}]" for part in inputs]
+        inputs, outputs = (
+            [part for part in parts if part.size] for parts in (self.function.inputs, self.function.outputs)
+        )
+        given = ["M on"] if is_told else []
+        given += [f"const {letter(part.is_mask)} {part.name}[{part.size}]" for part in inputs]
         found = [f"{letter(part.is_mask)} {part.name}[{part.size}]" for part in outputs]
-        head = f"static void {name}({', '.join([*given, *found])})"
-        return "\n".join([head, "{", *lines, "}", ""]), len(lines)
+        names = [*(["on"] if is_told else []), *(part.name for part in inputs)]
+        lines += [f"    (void){name};" for name in names if not re.search(rf"\b{name}\b", whole)]
+        head = f"static void {self.function.name}({', '.join([*given, *found])})"
+        return "\n".join(map(folded, [head, "{", *lines, "}", ""])), len(lines)
 
     def lines(self) -> list[str]:
         """The statements that fill the outputs."""
-        wanted = {value.index for _, value, _ in self.stores if isinstance(value, Expression)}
-        needed = with_arguments(self.program.expressions, wanted)
-        last = max((each.stage for each in needed), default=0)
-        used = sorted({int(each.arguments[0]) for each in needed if each.operation in ("table", "lookup")})
+        last = max((each.stage for each in self.needed), default=0)
+        used = sorted(
+            {int(each.arguments[0]) for each in self.needed if each.operation in ("table", "lookup")}
+        )
         lines = [self.table(i) for i in used]
         for stage in range(last + 1):
-            own = [each for each in needed if not each.varies and each.stage == stage]
-            lines += [self.line(each, 1) for each in own if each.operation not in (*REDUCTIONS, "input")]
-            lines += self.loop(needed, stage, stage == last)
+            own = [each for each in self.needed if not each.varies and each.stage == stage]
+            lines += [self.line(each, 1) for each in own if each.operation not in REDUCTIONS]
+            lines += self.loop(self.needed, stage, stage == last)
         stores = [each for each in self.stores if not varying(each[0])]
-        return lines + [f"    {place} = {self.operand(value, kind)};" for place, value, kind in stores]
+        lines += [f"    {place} = {self.operand(value, kind)};" for place, value, kind in stores]
+        return [line for line in lines if line]
 
     def table(self, index: int) -> str:
         """A table in C."""
         numbers = ", ".join(self.literal(value) for value in self.tables[index])
-        rows = textwrap.indent(textwrap.fill(numbers, WIDTH, break_long_words=False), " " * 8)
+        rows = textwrap.indent(textwrap.fill(numbers, WIDTH - 10, break_long_words=False), " " * 8)
         return f"    static const real table{index}[{self.long}] = {{\n{rows}\n    }};"
 
     def loop(self, needed: list[Expression], stage: int, is_last: bool) -> list[str]:
@@ -129,19 +148,109 @@ class Body:
         ]
 
     def line(self, each: Expression, depth: int) -> str:
-        """The statement of an expression."""
+        """The statement of an expression; "": it needs none."""
+        if each.operation in ("input", "result"):
+            return ""
+        if each.operation == "call":
+            return textwrap.indent("\n".join(self.call(each)), "    " * depth)
+        if each.operation in LOOPS:
+            return textwrap.indent("\n".join(self.repeat(each)), "    " * depth)
         start = f"{'    ' * depth}const {letter(each.kind == MASK)} t{each.index} = "
         if each.operation == "table":
             return f"{start}ALL(table{each.arguments[0]}[i]);"
         if each.operation == "lookup":
             return f"{start}LOOKUP(table{each.arguments[0]}, {self.long}, {self.operand(each.arguments[1])});"
+        if each.operation == "entry":
+            name, first, apart, count, index = each.arguments
+            return f"{start}{name}[{first} + {apart} * PLACE({count}, {self.operand(index)})];"
         whole = each.operation not in INFIX
         return f"{start}{formula(each.operation, *(self.operand(a, whole=whole) for a in each.arguments))};"
+
+    # calls and loops
+
+    def call(self, each: Expression) -> list[str]:
+        """The statements of a call."""
+        name, on, *values = each.arguments
+        callee, start = self.called.by_name[name], f"t{each.index}_"
+        made, given = self.arrays(start, callee.inputs, values)
+        results = [f"{start}{y.name}" for y in callee.outputs if y.size]
+        return [
+            *made,
+            *declared(start, callee.outputs),
+            f"{name}({', '.join([*self.told(on), *given, *results])});",
+        ]
+
+    def repeat(self, each: Expression) -> list[str]:
+        """The statements of a loop. Columns that do not go round it any more keep what they have."""
+        it, start = self.repeated(each), f"t{each.index}_"
+        made, given = self.arrays(start, it.given, it.values)
+        made += self.begun(start, it)
+        alive, single = self.operand(it.alive, MASK), self.called.single
+        own = [f"{start}{y.name}" for y in it.state if y.size]
+        if single and it.most == ONCE:
+            return [*made, f"if ({alive}) {{", f"    {it.callee.name}({', '.join([*given, *own])});", "}"]
+        passed = own if it.passed else []
+        following = [f"next_{y.name}" for y in it.callee.outputs if y.size]
+        body = [
+            *declared("next_", it.callee.outputs),
+            f"{it.callee.name}({', '.join([*self.told(f'{start}on'), *passed, *given, *following])});",
+            *(line for y in it.state if y.size for line in self.taken(y, start)),
+        ]
+        anywhere = f"{start}on" if single else f"ANY({start}on)"
+        head = f"if ({anywhere}) {{"
+        if it.most != ONCE:
+            head = f"for (int k = 0; k < {it.most} && {anywhere}; ++k) {{"
+            body.append(f"{start}on = AND({start}on, next_goes_on[0]);")
+        return [*made, f"M {start}on = {alive};", head, *(f"    {line}" for line in body), "}"]
+
+    def repeated(self, each: Expression) -> Repeated:
+        """What is said of a loop."""
+        name, most, alive, *values = each.arguments
+        callee = self.called.by_name[name]
+        state = callee.outputs if most == ONCE else callee.outputs[:-1]
+        given = callee.inputs if most == ONCE else callee.inputs[len(state) :]
+        count = sum(part.size for part in state)
+        return Repeated(callee, state, given, most, alive, values[:count], values[count:])
+
+    def begun(self, start: str, it: Repeated) -> list[str]:
+        """The statements with which a state begins."""
+        lines, values = [], list(it.start)
+        for y in it.state:
+            own, values = values[: y.size], values[y.size :]
+            if y.size:
+                texts = [self.operand(v, kind_in(y)) for v in own]
+                lines.append(f"{letter(y.is_mask)} {start}{y.name}[{y.size}] = {{{', '.join(texts)}}};")
+        return lines
+
+    def taken(self, y: Part, start: str) -> list[str]:
+        """The statements that take the next state where that is wanted."""
+        to, new = f"{start}{y.name}[i]", f"next_{y.name}[i]"
+        if not self.called.single:
+            new = f"{'CHOOSE' if y.is_mask else 'SELECT'}({start}on, {new}, {to})"
+        return [f"for (int i = 0; i < {y.size}; ++i) {{", f"    {to} = {new};", "}"]
+
+    def told(self, on: Value | str) -> list[str]:
+        """What a function is told of where it is wanted."""
+        return [] if self.called.single else [on if isinstance(on, str) else self.operand(on, MASK)]
+
+    def arrays(
+        self, start: str, inputs: Sequence[Part], values: Sequence[Value]
+    ) -> tuple[list[str], list[str]]:
+        """The statements that lay arguments side by side where they are not already, and what is passed."""
+        made, given = [], []
+        for x in inputs:
+            own, values = values[: x.size], values[x.size :]
+            texts = [self.operand(v, kind_in(x)) for v in own]
+            found = side_by_side(texts)
+            if x.size and found is None:
+                made.append(f"const {letter(x.is_mask)} {start}{x.name}[{x.size}] = {{{', '.join(texts)}}};")
+            given += [found or f"{start}{x.name}"] if x.size else []
+        return made, given
 
     def operand(self, value: Value, kind: str | None = None, whole: bool = True) -> str:
         """A value in C: as a V or M, or where it need not be a vector as a number."""
         if isinstance(value, Expression):
-            return str(value.arguments[0]) if value.operation == "input" else f"t{value.index}"
+            return str(value.arguments[-1]) if value.operation in ("input", "result") else f"t{value.index}"
         if (kind or kind_of(value)) == MASK:
             return "YES" if value else "NO"
         return f"ALL({self.literal(value)})" if whole else self.literal(value)
@@ -151,17 +260,44 @@ class Body:
         if math.isnan(value):
             return "NAN"
         text = "INFINITY" if math.isinf(value) else repr(abs(float(value)))
-        text += "f" if self.program.real == "float" and not math.isinf(value) else ""
+        text += "f" if self.called.real == "float" and not math.isinf(value) else ""
         return f"(-{text})" if math.copysign(1.0, value) < 0.0 else text
 
 
-def element(part: Part, place: tuple[int, ...], shape: tuple[int, ...]) -> str:
-    """A component of an argument in C; along the long axis, which is shorter in `shape`, the loop's."""
-    strides = [math.prod(part.shape[i + 1 :]) for i in range(len(part.shape))]
-    axes = list(zip(place, strides, shape, part.shape, strict=True))
-    at = sum(i * stride * (whole // short) for i, stride, short, whole in axes)
-    long = [stride for _, stride, short, whole in axes if short != whole]
-    return f"{part.name}[{at} + {long[0]} * i]" if long else f"{part.name}[{at}]"
+def folded(text: str) -> str:
+    """Lines of C of WIDTH at most."""
+    return "\n".join(
+        line if len(line) <= WIDTH else textwrap.fill(line, WIDTH, subsequent_indent=" " * (indent(line) + 4))
+        for line in text.split("\n")
+    )
+
+
+def indent(line: str) -> int:
+    """How many spaces a line begins with."""
+    return len(line) - len(line.lstrip())
+
+
+def side_by_side(texts: Sequence[str]) -> str | None:
+    """Where texts are the neighbouring elements of one array, in order: that, from the first of them on."""
+    found = re.fullmatch(r"(\w+)\[(\d+)\]", texts[0]) if texts else None
+    if not found or any(text != f"{found[1]}[{int(found[2]) + i}]" for i, text in enumerate(texts)):
+        return None
+    return found[1] if found[2] == "0" else f"&{found[1]}[{found[2]}]"
+
+
+def declared(start: str, parts: Sequence[Part]) -> list[str]:
+    """The declarations of results."""
+    return [f"{letter(y.is_mask)} {start}{y.name}[{y.size}];" for y in parts if y.size]
+
+
+def kind_in(part: Part) -> str:
+    """The kind of the values of an argument or a result."""
+    return MASK if part.is_mask else NUMBER
+
+
+def indices(values: Iterable[Value]) -> set[int]:
+    """Which expressions there are among values."""
+    return {value.index for value in values if isinstance(value, Expression)}
 
 
 def varying(place: str) -> bool:

@@ -11,6 +11,7 @@ typedef whole M __attribute__((vector_size(W * sizeof(real))));
 #define OR(m, n) ((m) | (n))
 #define ANY(m) any_v(m)
 #define SELECT(m, a, b) select_v(m, a, b)
+#define CHOOSE(m, a, b) (((m) & (a)) | (~(m) & (b)))
 /* NaN if either is; of a literal, which is none, if a is */
 #define MIN(a, b) SELECT(((a) < (b)) | ((a) != (a)), a, b)
 #define MAX(a, b) SELECT(((a) > (b)) | ((a) != (a)), a, b)

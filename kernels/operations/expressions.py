@@ -11,12 +11,14 @@ pass through everything else as through PyTorch's operations.
 """
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeGuard
 
 import numpy as np
 
+ELEMENT = re.compile(r"(\w+)\[(\d+)\]")  # of an array in C
 NUMBER, MASK = "number", "mask"
 MOST = 120_000  # expressions: the compiler takes a minute or two
 
@@ -102,10 +104,11 @@ class Program:
 
     Args:
         real: "double" or "float", the type of its numbers.
+        is_one: it computes one column, so that an index may be an address.
     """
 
-    def __init__(self, real: str = "double") -> None:
-        self.real = real
+    def __init__(self, real: str = "double", is_one: bool = False) -> None:
+        self.real, self.is_one = real, is_one
         self.expressions: list[Expression] = []
         self.known: dict[tuple[object, ...], Expression] = {}
         self.tables: dict[bytes, tuple[float, ...]] = {}
@@ -158,6 +161,15 @@ class Program:
         if entry.operation != "table":
             raise NotImplementedError("of what is computed, along an axis that is looped over,")
         return self.make("lookup", *entry.arguments, index)
+
+    def entry(self, entries: Sequence[Value], index: Value) -> Value:
+        """The entry at a computed index, the last one where there is none."""
+        if self.is_one and (array := evenly_apart(entries)):
+            return self.make("entry", *array, index, kind=kind_of(entries[0]))
+        result = entries[-1]
+        for i in reversed(range(len(entries) - 1)):
+            result = self.select(self.eq(index, float(i)), entries[i], result)
+        return result
 
     def apply(self, operation: str, *arguments: Value, kind: str = NUMBER) -> Value:
         """An operation, folded where all arguments are literals."""
@@ -361,6 +373,25 @@ def identity(a: "Value | str") -> tuple[int, object]:
     if isinstance(a, str):
         return 1, a
     return 2, repr(bool(a) if isinstance(a, np.bool_) else a)
+
+
+def evenly_apart(entries: Sequence[Value]) -> tuple[str, ...]:
+    """Of inputs that lie evenly apart in an array: its name, the first, how far apart, how many; else nothing."""
+    found = [ELEMENT.fullmatch(e.arguments[0]) if is_input(e) else None for e in entries]
+    places = [int(each[2]) for each in found if each]
+    apart = places[1] - places[0] if len(places) == len(entries) > 1 else 0
+    if (
+        apart < 1
+        or places != list(range(places[0], places[-1] + 1, apart))
+        or len({e[1] for e in found if e}) > 1
+    ):
+        return ()
+    return found[0][1], str(places[0]), str(apart), str(len(places))  # type: ignore[index]
+
+
+def is_input(value: Value) -> TypeGuard[Expression]:
+    """Whether a value is an input that is the same along the long axis."""
+    return isinstance(value, Expression) and value.operation == "input" and not value.varies
 
 
 def is_literal(a: Value, value: float) -> bool:

@@ -224,10 +224,7 @@ class Shapes:
             return self.program.lookup(entries[0], wanted)
         if not isinstance(wanted, Expression):
             return entries[int(wanted)]
-        result = entries[-1]
-        for i in reversed(range(len(entries) - 1)):
-            result = self.program.select(self.program.eq(wanted, float(i)), entries[i], result)
-        return result
+        return self.program.entry(list(entries), wanted)
 
 
 def objects(value: Any) -> ndarray:

@@ -1,0 +1,122 @@
+"""Functions as they are recorded: arguments, results, expressions, and the functions that they call."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from numpy import ndarray
+from torch import Tensor
+
+from kernels.operations.expressions import Program
+
+# in memory
+TYPES = {torch.float64: "double", torch.float32: "float", torch.bool: "bool", torch.int64: "long"}
+
+
+@dataclass(frozen=True)
+class Part:
+    """An argument or a result of a printed function.
+
+    Attributes:
+        name: in C; shape: per column; kind: "double", "float", "bool" or "long" in memory.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    kind: str
+
+    @property
+    def size(self) -> int:
+        """How many components it has."""
+        return math.prod(self.shape)
+
+    @property
+    def is_mask(self) -> bool:
+        """Whether it holds truth values."""
+        return self.kind == "bool"
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A function that was recorded.
+
+    Attributes:
+        name: in C; about: the first line of its docstring.
+        inputs, outputs: its arguments and results in their order; values: of each result, see `kernels.recorder`.
+        long: length of the axis that is looped over, see `kernels.printer.printed`.
+        dtypes: of the results; like: makes of a list of tensors what the function returns.
+    """
+
+    name: str
+    about: str
+    program: Program
+    inputs: list[Part]
+    outputs: list[Part]
+    values: list[ndarray]
+    long: int
+    dtypes: list[torch.dtype]
+    like: Callable[[list[Tensor]], Any]
+
+
+@dataclass
+class Called:
+    """All functions that a printed function calls, each recorded once.
+
+    Args:
+        real: the type of their numbers, "double" or "float".
+        single: they are printed for one column, so that none is told in which columns it is wanted.
+
+    Attributes:
+        by_key: what is recorded, by what tells it from others; by_name: the same, those that are called before others.
+        kept: what the keys name by its place in memory.
+        is_double: one of them computed float64.
+    """
+
+    real: str
+    single: bool
+    by_key: dict[tuple[Any, ...], Recorded] = field(default_factory=dict)
+    by_name: dict[str, Recorded] = field(default_factory=dict)
+    kept: list[Any] = field(default_factory=list)
+    is_double: bool = False
+
+    def free(self, name: str) -> str:
+        """The name, or one with a number that no function has."""
+        names = [name, *(f"{name}_{i}" for i in range(2, len(self.by_name) + 3))]
+        return next(each for each in names if each not in self.by_name)
+
+
+def mapped(function: Callable[[Tensor], Any], given: Any) -> Any:
+    """What is given, with what a function makes of each tensor in it in that one's place."""
+    if isinstance(given, Tensor):
+        return function(given)
+    if not isinstance(given, list | tuple) or not has_tensors(given):
+        return given
+    found = [mapped(function, each) for each in given]
+    return type(given)._make(found) if hasattr(given, "_make") else type(given)(found)
+
+
+def has_tensors(given: Any) -> bool:
+    """Whether something is a tensor, or a tuple or a list that holds one."""
+    return isinstance(given, Tensor) or (isinstance(given, list | tuple) and any(map(has_tensors, given)))
+
+
+def part_of(name: str, column: Tensor) -> Part:
+    """A tensor (..., 1) as an argument or a result."""
+    if not column.dim() or column.shape[-1] != 1:
+        raise NotImplementedError(
+            f"{name} of shape {tuple(column.shape)} has no columns and cannot be printed as C"
+        )
+    if column.dtype not in TYPES:
+        raise NotImplementedError(f"{name} of {column.dtype} cannot be printed as C")
+    return Part(name, tuple(column.shape[:-1]), TYPES[column.dtype])
+
+
+def element(part: Part, place: tuple[int, ...], shape: Sequence[int]) -> str:
+    """A component of an argument in C; along the long axis, which is shorter in `shape`, the loop's."""
+    strides = [math.prod(part.shape[i + 1 :]) for i in range(len(part.shape))]
+    axes = list(zip(place, strides, shape, part.shape, strict=True))
+    at = sum(i * stride * (whole // short) for i, stride, short, whole in axes)
+    long = [stride for _, stride, short, whole in axes if short != whole]
+    return f"{part.name}[{at} + {long[0]} * i]" if long else f"{part.name}[{at}]"

@@ -1,0 +1,204 @@
+"""A function cut at its loops that wait, see `kernels.waiting`: what each segment computes, loads and stores.
+
+A function that was recorded has no branches, so n loops that wait cut it into n + 1 segments: what is computed before
+the first, what needs the results of the first, and so on. A value that a later segment reads, or that a loop is given,
+is live in between, in a compiler's words. It has a place in a column's record: of numbers n or of truth values m.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import count
+
+from kernels.calls import result
+from kernels.operations.expressions import MASK, Expression, Value
+from kernels.parts import Part
+from kernels.text import LOOPS, Body, kind_in
+
+Placed = tuple[str, str]  # a place, and what C calls what is stored there
+
+
+class Records:
+    """The places of values in a record; numbers of segments and loops."""
+
+    def __init__(self) -> None:
+        self.sizes = {"n": 0, "m": 0}
+        self.segments, self.loops = count(), count()
+
+    def place(self, kind: str) -> str:
+        """A new place for a value of this kind."""
+        which = "m" if kind == MASK else "n"
+        self.sizes[which] += 1
+        return f"{which}[{self.sizes[which] - 1}]"
+
+
+class Waits:
+    """A loop that waits.
+
+    Attributes:
+        it: what is said of it; number: its own in C.
+        state, given: places of what its body is given, by part; results are where the state was.
+        body: its segments; None: it is one function.
+    """
+
+    def __init__(self, frame: "Frame", each: Expression) -> None:
+        self.it, self.number = frame.body.repeated(each), next(frame.records.loops)
+        self.state = [[frame.records.place(kind_in(y)) for _ in range(y.size)] for y in self.it.state]
+        values = iter(self.it.values)
+        self.given = [[frame.kept(next(values), kind_in(x)) for _ in range(x.size)] for x in self.it.given]
+        body = Body(self.it.callee, frame.body.called)
+        self.body = Frame(frame.records, body, self) if has_waits(body) else None
+
+    @property
+    def arguments(self) -> list[tuple[str, str]]:
+        """Elements of the body's arguments, and their places."""
+        return placed(self.it.callee.inputs, [*(self.state if self.it.passed else []), *self.given])
+
+    @property
+    def results(self) -> list[tuple[str, str]]:
+        """Elements of the next state, and their places."""
+        return placed(self.it.state, self.state)
+
+    def begin(self, body: Body) -> list[Placed]:
+        """What a column that comes to the loop stores: the state, and literals that are given."""
+        values = [*self.it.start, *(v for v in self.it.values if not isinstance(v, Expression))]
+        places = [place for part in self.state for place in part]
+        given = [place for part in self.given for place in part]
+        places += [p for p, v in zip(given, self.it.values, strict=True) if not isinstance(v, Expression)]
+        return [
+            (p, body.operand(v, MASK if p[0] == "m" else None)) for p, v in zip(places, values, strict=True)
+        ]
+
+
+class Frame:
+    """A function that is cut: all of a batch's, or the body of a loop that waits.
+
+    Attributes:
+        owner: the loop whose body it is; None: it is all of a batch.
+        waits, loops: the loops that wait, as expressions and as such; last: the number of the last segment.
+        segment: by expression the first one in which it is known; read: the last one that computes with it.
+        given: by expression the last loop that is given it.
+        places: by expression, where its value is stored; numbers: of the segments in C.
+    """
+
+    def __init__(self, records: Records, body: Body, owner: Waits | None = None) -> None:
+        self.records, self.body, self.owner = records, body, owner
+        if any(each.varies for each in body.needed):
+            raise NotImplementedError("an axis that is looped over, beside loops that wait,")
+        self.waits = [each for each in body.needed if each.operation == "waiting"]
+        self.segment, self.last = segments(body.needed, self.waits), len(self.waits)
+        self.places, self.literals, self.given = (
+            self.arguments(),
+            dict[tuple[str, str], str](),
+            dict[int, int](),
+        )
+        self.loops: list[Waits] = []
+        for i, each in enumerate(self.waits):
+            self.given |= {v.index: i for v in body.repeated(each).values if isinstance(v, Expression)}
+            self.loops.append(Waits(self, each))
+            self.places |= self.results(each, self.loops[i])
+        self.read = self.reads()
+        for each in body.needed:
+            if is_value(each) and self.read.get(each.index, -1) > self.segment[each.index]:
+                self.kept(each, each.kind)
+        self.numbers = [next(records.segments) for _ in range(self.last + 1)]
+
+    def arguments(self) -> dict[int, str]:
+        """The places of arguments of a loop's body."""
+        at = dict(self.owner.arguments) if self.owner else {}
+        inputs = [each for each in self.body.needed if each.operation == "input"]
+        return {each.index: at[each.arguments[0]] for each in inputs if each.arguments[0] in at}
+
+    def results(self, each: Expression, loop: Waits) -> dict[int, str]:
+        """The places of what comes out of a loop."""
+        sizes = [(y, k) for y in loop.it.state for k in range(y.size)]
+        at = {result(each, y, k): place for (y, k), (_, place) in zip(sizes, loop.results, strict=True)}
+        own = [e for e in self.body.needed if e.operation == "result" and e.arguments[0] is each]
+        return {e.index: at[e.arguments[1]] for e in own}
+
+    def kept(self, value: Value, kind: str) -> str:
+        """The place of a value, which is stored there once."""
+        if isinstance(value, Expression):
+            if value.index not in self.places:
+                self.places[value.index] = self.records.place(kind)
+            return self.places[value.index]
+        key = self.body.operand(value, kind), kind
+        if key not in self.literals:
+            self.literals[key] = self.records.place(kind)
+        return self.literals[key]
+
+    def used(self, s: int) -> list[Expression]:
+        """The values with which a segment computes, decides and begins the loop after it, or that it returns."""
+        values: list[object] = []
+        for each in self.body.needed:
+            if self.segment[each.index] == s and each.operation not in ("result", "waiting"):
+                values += each.arguments
+        if s < self.last:
+            values += [self.loops[s].it.alive, *self.loops[s].it.start]
+        else:
+            values += [value for place, value, _ in self.body.stores if not self.is_early(place)]
+        return [each for each in values if isinstance(each, Expression)]
+
+    def reads(self) -> dict[int, int]:
+        """By expression the last segment that uses it."""
+        return {each.index: s for s in range(self.last + 1) for each in self.used(s)}
+
+    def is_early(self, place: str) -> bool:
+        """Whether a result, of which this is an element, is known before the first loop, of all of a batch."""
+        own = [value for at, value, _ in self.body.stores if at.split("[")[0] == place.split("[")[0]]
+        known = all(not isinstance(v, Expression) or self.segment[v.index] == 0 for v in own)
+        return known and self.owner is None
+
+    def loaded(self, s: int) -> list[Expression]:
+        """The values that a segment reads from records."""
+        found = {each.index: each for each in self.used(s) if self.is_loaded(each, s)}
+        return [found[i] for i in sorted(found)]
+
+    def is_loaded(self, each: Expression, s: int) -> bool:
+        """Whether a segment does not compute a value, but finds it in records."""
+        is_argument = each.operation == "input" and self.owner is not None
+        is_result = each.operation == "result" and each.arguments[0].operation == "waiting"
+        return is_value(each) and (self.segment[each.index] < s or is_argument or is_result)
+
+    def stored(self, s: int) -> list[Placed]:
+        """What a segment stores: what it computes and is read later, and what the loop after it begins with."""
+        own = [
+            each for each in self.body.needed if each.index in self.places and self.segment[each.index] == s
+        ]
+        found = [(self.places[e.index], self.body.operand(e)) for e in own if not self.is_loaded(e, s)]
+        return found + (self.loops[s].begin(self.body) if s < self.last else [])
+
+    def live(self, s: int) -> list[Placed]:
+        """What a column stores that leaves the straight way for a loop."""
+        own = [
+            each for each in self.body.needed if each.index in self.places and self.segment[each.index] <= s
+        ]
+        later = [e for e in own if self.read.get(e.index, -1) > s or self.given.get(e.index, -1) >= s]
+        return [(self.places[e.index], self.body.operand(e)) for e in later] + self.loops[s].begin(self.body)
+
+
+def has_waits(body: Body) -> bool:
+    """Whether some of a function's loops wait."""
+    return any(each.operation == "waiting" for each in body.needed)
+
+
+def segments(needed: Sequence[Expression], waits: Sequence[Expression]) -> dict[int, int]:
+    """By expression the first segment in which it is known."""
+    order, found = {each.index: i for i, each in enumerate(waits)}, dict[int, int]()
+    for each in needed:
+        own = max((found[a.index] for a in each.arguments if isinstance(a, Expression)), default=0)
+        if each.operation == "waiting":
+            own = order[each.index]
+        elif each.operation == "result" and each.arguments[0].index in order:
+            own = order[each.arguments[0].index] + 1
+        found[each.index] = own
+    return found
+
+
+def is_value(each: Expression) -> bool:
+    """Whether an expression is a value of its own, and not where the function is wanted."""
+    return each.operation not in ("call", *LOOPS) and each.arguments[:1] != ("on",)
+
+
+def placed(parts: Sequence[Part], places: Sequence[Sequence[str]]) -> list[tuple[str, str]]:
+    """Elements of parts, and their places."""
+    pairs: Iterator[tuple[Part, Sequence[str]]] = zip(parts, places, strict=True)
+    return [(f"{part.name}[{k}]", place) for part, own in pairs for k, place in enumerate(own)]
