@@ -26,13 +26,15 @@ from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
 from interfaces.vector import VectorInspection6DoF
 from kernels.build import VARIABLE
+from kernels.compiled import Compiled
 from ppo.learner import PPO
 from rta.filter import SafetyFilter
 from rta.flown_paper import FlownPaperFilter
 from rta.parameters import PERIODS
 from rta.propose import demanded
-from rta.qp.batched_solver import BatchedSolver
-from rta.qp.programs import Problems, Solver
+from rta.qp.active_set import ActiveSet
+from rta.qp.piqp_solver import PiqpSolver
+from rta.qp.programs import Problems
 from rta.qp.scaled import scale_rows, to_qp
 from settings import load, override
 from study.config import Config
@@ -183,8 +185,8 @@ def programs(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> list[Pr
     found = []
     for group in safety_filter.groups:
         rows = scale_rows(group, x, control)
-        unsafe = torch.nonzero(~(rows.lowest[0] >= 0.0)).flatten()
-        found.append(to_qp(group, rows, projected[group.controls] / group.limit)[unsafe])
+        unsafe = torch.nonzero(~(rows.lowest >= 0.0)).flatten()
+        found.append(Problems(*to_qp(group, rows, projected[group.controls]), group.weights)[unsafe])
     return [part for part in found if part.desired.numel()]
 
 
@@ -298,15 +300,27 @@ def random_demands(config: Config, where: str) -> Spread:
     return us(spread([flight["calls_per_s"] for flight in flights]))
 
 
-def solver_rate(solver: Solver, met: list[Problems], batch: int) -> Spread:
-    """Measures programs per s where a call of the solver is given `batch` of one actuator group."""
+def solver_rate(solvers: list[Callable[[Problems], Any]], met: list[Problems], batch: int) -> Spread:
+    """Measures programs per s where a call of an actuator group's solver is given `batch` of them."""
     parts = [part[repeated(torch.arange(part.desired.shape[1], device=part.a.device), batch)] for part in met]
 
     def solve() -> None:
-        for part in parts:
-            solver.solve(part)
+        for solver, part in zip(solvers, parts, strict=True):
+            solver(part)
 
     return per_second(solve, batch * len(parts), parts[0].a.device)
+
+
+def in_c(problems: Problems) -> Callable[[Problems], Any]:
+    """Returns the active-set method compiled for programs like these."""
+    first = problems[torch.zeros(1, dtype=torch.int64, device=problems.a.device)]
+
+    def solve(*parts: Tensor) -> list[Tensor]:
+        desired, a, b, b_no_margin = parts
+        return list(vars(ActiveSet().solve(Problems(desired, a, b, b_no_margin, first.weight))).values())
+
+    run = Compiled(solve, first.desired, first.a, first.b, first.b_no_margin, batch=TYPICAL_PROGRAMS)
+    return lambda part: run(part.desired, part.a, part.b, part.b_no_margin)
 
 
 def fresh_learner(experiment: Experiment, **settings: Any) -> PPO:
@@ -443,15 +457,14 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
         for x, u in flights
         for part in programs(experiment.checked_filter, x[:, :RECORDED], u[:, :RECORDED])
     ]
-    onboard = override(named["1"], {"rta": {"qp_solver": "piqp"}}, "benchmark")
-    batched = BatchedSolver()
-    if compiled:
-        rows = max(len(group.weights) for group in experiment.checked_filter.groups)
-        compile_or_explain("solver", partial(batched.compile, [rows], TYPICAL_PROGRAMS, device))
-    solvers: dict[str, Solver] = {"piqp": built(onboard, 1).checked_filter.solver, "batched": batched}
-    for name, solver in solvers.items():
+    active_set = [in_c(part) if compiled else ActiveSet().solve for part in asked]
+    solvers: dict[str, list[Callable[[Problems], Any]]] = {
+        "piqp": [PiqpSolver().solve] * len(asked),
+        "batched": active_set,
+    }
+    for name, each in solvers.items():
         for n in PROGRAMS:
-            curves["qp_us", name][n] = us(solver_rate(solver, asked, n))
+            curves["qp_us", name][n] = us(solver_rate(each, asked, n))
 
     minibatch = nearest(batches, config.ppo.minibatch_size)
     counts = {"learner_samples_per_s": minibatch, "qp_us": TYPICAL_PROGRAMS}

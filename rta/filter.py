@@ -12,7 +12,7 @@ is applied if it and the backup trajectory after it keep the limits (`rta.backup
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -26,7 +26,8 @@ from inspection.model.state import CONTROL_SIZE
 from inspection.model.state_checks import is_state
 from inspection.model.tensors import check_tensors
 from kernels.build import NoCompilerError
-from kernels.compiled import Compiled
+from kernels.compiled import Compiled, Kernel
+from kernels.control import call, pick, put
 from kernels.modes import in_full_precision
 from rta.backup.commit import Check
 from rta.backup.nominal_check import NominalBackup
@@ -39,13 +40,14 @@ from rta.constraints.thrust import keep_in_zone, thrust_constraints
 from rta.constraints.torque import torque_constraints
 from rta.filter_input import FilterInput, compiled_for_one, probe
 from rta.parameters import RtaParameters
-from rta.printed.batch import BatchFilter, Flights
+from rta.printed.batch import batch_filter, flights
 from rta.propose import Propose
-from rta.qp.batched_solver import STEPS_SAMPLED, BatchedSolver, PiqpThenSteps
-from rta.qp.programs import Solver, Status, pick, put
+from rta.qp.active_set import ActiveSet
+from rta.qp.piqp_solver import PiqpSolver
+from rta.qp.programs import Solver, Status
 from rta.result import FilterResult
 
-SOLVERS: dict[str, type[Solver]] = {"piqp": PiqpThenSteps, "batched": BatchedSolver}
+SOLVERS: dict[str, type[Solver]] = {"piqp": PiqpSolver, "batched": ActiveSet}
 
 
 class SafetyFilter(Fixed):
@@ -58,8 +60,7 @@ class SafetyFilter(Fixed):
         c: the task's constants; None: the paper's.
         parameters: period, gains, margins and weights for the paper's vehicle, see `rta.constraints.vehicle`; None: the
             defaults.
-        solver: of the quadratic programs; None: the one that the parameters name, for `auto` PIQP or, with sampled
-            rows, the batched one.
+        solver: of the quadratic programs; None: the one that the parameters name, for `auto` the active-set method.
         extra: constraints of your own.
         uncertainty: the bounds of what the model and the measured state may be off by; None: the plant is the model.
 
@@ -69,7 +70,7 @@ class SafetyFilter(Fixed):
             model, so that `correct` takes what the plant tells.
         propose: the programs, and all that comes before the check; groups: their rows of thrust and of torque.
         backup: the check of its controls; None: no backup trajectory is known of this vehicle, or within the bounds.
-        compiled: all of it as one C function; None: it is not compiled so.
+        compiled: `answer` as one C function; None: it is not compiled so.
 
     Arguments and attributes are fixed; only `compile` changes one, `compiled`.
 
@@ -102,10 +103,7 @@ class SafetyFilter(Fixed):
         self.c, self.parameters, self.extra, self.uncertainty = c, parameters, tuple(extra), uncertainty
         self.is_held = uncertainty.needs_sampled_rows(parameters)
         self.is_sampled = uncertainty.rows(parameters) == "sampled"
-        # as fast as PIQP with sampled rows, of which there are more
-        auto = "batched" if self.is_sampled else "piqp"
         self._given_solver = solver
-        self.solver = solver or make_solver(parameters.qp_solver.replace("auto", auto), self.is_sampled)
         own = vehicle.scaled(parameters, c)
         of_paper = (thrust_constraints(c, own, uncertainty), torque_constraints(c, own, uncertainty))
         constraints = (*of_paper[0], *of_paper[1], *extra)
@@ -114,8 +112,9 @@ class SafetyFilter(Fixed):
             if uncertainty.is_zero
             else RobustBackup.of(c, own, uncertainty)
         )
-        self.propose = Propose(constraints, c, own, uncertainty, self.checked)
-        self.groups = self.propose.groups
+        piqp = PiqpSolver() if parameters.qp_solver == "piqp" else None
+        self.propose = Propose(constraints, c, own, uncertainty, self.checked, solver or piqp)
+        self.groups, self.solver = self.propose.groups, self.propose.solver
         if self.propose.kind == "none" and self.unchecked:
             raise ValueError(
                 f'rows = "none": nothing would keep the limits of {" and ".join(self.unchecked)}, of which no backup '
@@ -125,9 +124,7 @@ class SafetyFilter(Fixed):
         self.names = in_order(thrust, torque)
         if len(set(self.names)) < len(self.names):
             raise ValueError(f"constraints {', '.join(self.names)}: each name must be there once")
-        is_auto = solver is None and parameters.qp_solver == "auto"
-        self._solves_in_c = isinstance(self.solver, BatchedSolver) or is_auto
-        self.compiled: BatchFilter | None = None
+        self.compiled: Kernel | None = None
         self._has_tried = False
         self._is_compiled = False
 
@@ -198,7 +195,8 @@ class SafetyFilter(Fixed):
         check_tensors(x=x)
         kept = is_state(x, self.c) & (self.values(x) >= 0.0).all(0)
         if self.backup:
-            self._compile_flights(x)
+            if x.device.type == "cpu":
+                self._compile_flights()
             kept = narrowed(kept, x, self.backup.has_backup_trajectory)
         if not self.checked[0]:
             kept = kept & self.can_brake(x)
@@ -210,22 +208,17 @@ class SafetyFilter(Fixed):
     def compile(self, device: torch.device | str, batch: int) -> None:
         """Compiles the filter for tensors on this device and calls of about so many spacecraft.
 
-        On a CPU all of it is one C function, solver included, unless PIQP is asked for; then, and on a GPU, what is
-        computed for every spacecraft. Takes some seconds, up to ten with sampled rows, once: what was compiled
-        is kept across runs. Raises as `kernels.compiled.Compiled`, and changes nothing then.
+        On a CPU all of it is one C function, unless PIQP solves; then, and on a GPU, what is computed for every
+        spacecraft. Takes some seconds, up to ten with sampled rows, once: what was compiled is kept across runs. Raises
+        as `kernels.compiled.Compiled`, and changes nothing then.
         """
-        if self._solves_in_c and torch.device(device).type == "cpu":
-            self.compiled = BatchFilter(self)
-            self._is_compiled = True
-            return
-        compiled = [
-            Compiled(run, *given, batch=batch)
-            for run, given in self.propose.batch_functions(*self.probe(device))
-        ]
-        rows = max(len(group.weights) for group in self.groups)
-        counts = [rows, 2 * rows] if self.is_sampled else [rows]  # sampled ones twice
-        self.solver.compile(counts, batch, device)
-        self.propose.use(compiled)
+        if isinstance(self.solver, ActiveSet) and torch.device(device).type == "cpu":
+            self.compiled, flying = batch_filter(self)
+            if isinstance(self.backup, NominalBackup):
+                self.backup.flights = flying
+        else:
+            functions = self.propose.batch_functions(*self.probe(device))
+            self.propose.use([Compiled(run, *given, batch=batch) for run, given in functions])
         self._is_compiled = True
 
     def probe(self, device: torch.device | str) -> tuple[Tensor, Tensor]:
@@ -303,15 +296,14 @@ class SafetyFilter(Fixed):
                 with `health` in its `Uncertainty`.
         """
         check_tensors(x=x, desired=desired)
-        # where a state is younger the first are NaN
-        newest = None if sent is None else sent[max(0, len(sent) - self.uncertainty.latency) :]
-        if self.compiled is None or x.device.type != "cpu":
-            result = self._correct(x, desired, newest, left)
+        told = self.told(x, sent, left)
+        if self.compiled is not None and x.device.type == "cpu":
+            result = FilterResult(*self.compiled(x, desired, *told))
         else:
-            answer, unsolved = self.compiled(x, desired, newest, left)
-            result = FilterResult(*answer)
-            if unsolved:  # PIQP may know an answer
-                self._correct_again(result, x, desired, newest, left)
+            if x.device.type == "cpu":
+                self._compile_flights()
+            with torch.no_grad():
+                result = self.answer(x, desired, *told)
         if sent is None:
             return result
         too_old = (~sent.isnan().any(1)).sum(0) > self.uncertainty.latency
@@ -322,36 +314,53 @@ class SafetyFilter(Fixed):
             program_status=torch.where(too_old, Status.UNSOLVED, result.program_status),
         )
 
-    def _correct_again(self, result: FilterResult, x: Tensor, desired: Tensor, *given: Tensor | None) -> None:
-        """Puts what `_correct` answers into a result where that has no solution."""
-        columns = torch.nonzero(result.status == Status.UNSOLVED).flatten()
-        sent, left = (None if part is None else pick(part, columns) for part in given)
-        again = self._correct(pick(x, columns), pick(desired, columns), sent, left)
-        for field in fields(result):
-            whole = getattr(result, field.name)
-            if whole.stride(0):  # else there is nothing to say of any constraint
-                put(whole, columns, getattr(again, field.name))
+    def told(self, x: Tensor, sent: Tensor | None, left: Tensor | None) -> tuple[Tensor, ...]:
+        """What counts beside states: the newest controls sent (latency, 6, B), and what is left (6, B)."""
+        if self.uncertainty.is_zero:
+            return ()
+        count = 0 if sent is None else min(len(sent), self.uncertainty.latency)
+        never = x.new_full((self.uncertainty.latency - count, CONTROL_SIZE, x.shape[1]), torch.nan)
+        newest = never if sent is None or not count else torch.cat((never, sent[-count:]))
+        return newest, x.new_ones(CONTROL_SIZE, x.shape[1]) if left is None else left
 
-    def _compile_flights(self, x: Tensor) -> None:
-        """Has the flights of the check from states on a CPU computed in C, once, where there is a compiler.
+    def answer(self, x: Tensor, desired: Tensor, *told: Tensor) -> FilterResult:
+        """The order of a call: predict, propose, check and commit. Arguments as of `told`."""
+        x = call(known, x)
+        sent, left = (list(told[0]), told[1]) if told else ([], None)
+        left = left if self.uncertainty.health else None
+        x, error_bound = self.propose.now(x, sent, left)
+        control, found = self.propose(x, desired, left)
+        status, no = torch.stack([each.status for each in found]), torch.zeros_like(x[0], dtype=torch.bool)
+        result = FilterResult(
+            control=control,
+            intervened=(control != desired).any(0),
+            verified=no,
+            backup=no,
+            active=joined(*(each.active for each in found)),
+            slack=joined(*(each.slack for each in found)),
+            status=status.amax(0),
+            program_status=status,
+            h=joined(*(each.h for each in found)),
+        )
+        if self.backup is None:
+            return result
+        of_torque = [name in self.groups[1].names for name in self.names]
+        return self.backup.commit(x, error_bound, desired, result, of_torque)
+
+    def _compile_flights(self) -> None:
+        """Has the flights of the check computed in C, once, where there is a compiler.
 
         A flight has a hundred holds, each of a thousand operations.
         """
-        if isinstance(self.backup, NominalBackup) and not self._has_tried and x.device.type == "cpu":
+        if isinstance(self.backup, NominalBackup) and not (self.backup.flights or self._has_tried):
             self._has_tried = True
             with suppress(NoCompilerError):
-                self.backup.flights = self.backup.flights or Flights(self)
+                self.backup.flights = flights(self)
 
-    @torch.no_grad()
-    def _correct(self, x: Tensor, desired: Tensor, sent: Tensor | None, left: Tensor | None) -> FilterResult:
-        """`correct` in PyTorch, and by the solver."""
-        x = x.masked_fill(x.isinf(), torch.nan)  # infinitely safe is no state either
-        x, error_bound, result = self.propose(x, desired, self.solver, sent, left)
-        if self.backup is not None:
-            self._compile_flights(x)
-            of_torque = [name in self.groups[1].names for name in self.names]
-            result = self.backup.commit(x, error_bound, desired, result, of_torque)
-        return result
+
+def known(x: Tensor) -> Tensor:
+    """States (16, B), NaN where they are infinite: infinitely safe is no state either."""
+    return x.masked_fill(x.isinf(), torch.nan)
 
 
 def narrowed(chosen: Tensor, x: Tensor, accepts: Callable[[Tensor], Tensor]) -> Tensor:
@@ -362,6 +371,6 @@ def narrowed(chosen: Tensor, x: Tensor, accepts: Callable[[Tensor], Tensor]) -> 
     return chosen
 
 
-def make_solver(name: str, sampled: bool = False) -> Solver:
-    """Makes a new solver, of sampled rows or the paper's; raises KeyError for a name that is not in SOLVERS."""
-    return BatchedSolver(STEPS_SAMPLED) if sampled and name == "batched" else SOLVERS[name]()
+def make_solver(name: str) -> Solver:
+    """Makes a new solver; raises KeyError for a name that is not in SOLVERS."""
+    return SOLVERS[name]()

@@ -31,8 +31,7 @@ class RtaParameters(Settings):
     period: float = setting(1.0, "s between two calls of the filter", among=PERIODS)
     qp_solver: str = setting(
         "auto",
-        "solver of the quadratic programs; auto: piqp for the paper's filter, and for a few spacecraft with --compile "
-        "off; else batched",
+        "solver of the quadratic programs; auto: piqp for the paper's filter, batched for the checked one",
         among=QP_SOLVERS,
     )
     rows: str = setting(

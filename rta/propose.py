@@ -4,6 +4,7 @@ The state is predicted where it is old, and thrusters are asked for what they gi
 the attitude decides where thrust acts: thrust's sampled rows are with the torque that was found.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -13,15 +14,17 @@ from torch import Tensor
 
 from inspection.model.parameters import Limits
 from inspection.model.state import THRUST, TORQUE
+from kernels.control import call
+from kernels.printer import if_long
 from rta.barrier import ActuatorGroup
 from rta.bounds.health import slewing
 from rta.bounds.prediction import KINDS, predicted
 from rta.bounds.uncertainty import Uncertainty
-from rta.constraints.constraint import ACTUATORS, Constraint, joined
+from rta.constraints.constraint import ACTUATORS, Constraint
 from rta.parameters import RtaParameters
-from rta.qp.programs import ENDLESS, LARGEST_DEMAND, Solver, Status, pick, put
-from rta.qp.scaled import ScaledRows, from_qp, scale_rows, shortfall, to_qp, with_shortfall
-from rta.result import FilterResult
+from rta.qp.active_set import ATTEMPTED, ATTEMPTED_SAMPLED, ActiveSet
+from rta.qp.programs import ENDLESS, LARGEST_DEMAND, Problems, Solver, Status
+from rta.qp.scaled import Program, ScaledRows, from_qp, scale_rows, shortfall, to_qp, with_shortfall
 
 TORQUE_THEN_THRUST = 1, 0  # of the groups
 
@@ -55,15 +58,7 @@ class Found(NamedTuple):
     slack: Tensor
     h: Tensor
 
-    @classmethod
-    def as_desired(cls, control: Tensor, status: Tensor, h: Tensor) -> "Found":
-        """A control that is not corrected."""
-        return cls(control, status, torch.zeros_like(h, dtype=torch.bool), torch.zeros_like(h), h)
 
-
-# Of a group, its rows at the desired control, what is projected (3, B), that control, and the share (3, B) that its
-# actuators give, or None.
-SolveGroup = Callable[[ActuatorGroup, ScaledRows, Tensor, Found, Tensor | None], Found]
 # What is computed for every spacecraft, compiled or not: a group's rows at states (16, B) and controls (6, B), and,
 # with health, what is left of actuators (6, B); or a prediction.
 BatchFunction = Callable[..., list[Tensor]]
@@ -75,9 +70,11 @@ class Propose:
 
     Attributes:
         groups: of thrust and of torque; kind: of their rows, see `Uncertainty.rows`.
+        solver: of the quadratic programs.
 
     Args:
         checked: whether what is proposed of thrust, and of torque, is checked.
+        solver: None: the active-set method.
     """
 
     def __init__(
@@ -87,19 +84,24 @@ class Propose:
         r: RtaParameters,
         uncertainty: Uncertainty,
         checked: tuple[bool, bool],
+        solver: Solver | None = None,
     ) -> None:
         self.c, self.r, self.uncertainty, self.kind = c, r, uncertainty, uncertainty.rows(r)
         self.groups = tuple(
             ActuatorGroup(by, constraints, c, r, uncertainty, each)
             for by, each in zip(ACTUATORS, checked, strict=True)
         )
-        self.rows_of: Sequence[BatchFunction] = [partial(self.rows, group) for group in self.groups]
+        self.solver = solver or solver_of(self.groups)
+        self.long = if_long(len(c.planes))  # of a hull
+        self.rows_of: Sequence[Callable[..., Sequence[Tensor]]] = [
+            partial(self.rows, group) for group in self.groups
+        ]
         self.predictor: BatchFunction = self.predict
 
     def batch_functions(self, x: Tensor, u: Tensor) -> list[ExampleCall]:
         """Each group's rows and, where a state may be old, `predict`; given a state (16, 1) and a control (6, 1)."""
         left = (torch.ones_like(u),) if self.uncertainty.health else ()
-        rows: list[ExampleCall] = [(partial(self.rows, group), (x, u, *left)) for group in self.groups]
+        rows: list[ExampleCall] = [(partial(listed_rows, group), (x, u, *left)) for group in self.groups]
         prediction: list[ExampleCall] = [(self.predict, (x, torch.zeros_like(x[:KINDS]), u))]
         return (rows if self.kind != "none" else []) + (prediction if self.uncertainty.latency else [])
 
@@ -108,81 +110,64 @@ class Propose:
         self.rows_of = functions[:2] if self.kind != "none" else self.rows_of
         self.predictor = functions[-1] if self.uncertainty.latency else self.predictor
 
-    @staticmethod
-    def rows(group: ActuatorGroup, *given: Tensor) -> list[Tensor]:
-        """Computes `scale_rows` as a list, which compiled functions return."""
-        return list(scale_rows(group, *given))
+    def rows(self, group: ActuatorGroup, *given: Tensor) -> ScaledRows:
+        """`scale_rows` of a group, in C a function of the group's name."""
+        return call(scale_rows, group, *given, long=self.long, name=f"{group.actuator}_rows")
 
     def predict(self, x: Tensor, error_bound: Tensor, u: Tensor) -> list[Tensor]:
         """`predicted` by the filter's model, of states (16, B) and (4, B) under controls (6, B)."""
         return list(predicted(x, error_bound, u, self.c, self.r, self.uncertainty))
 
-    def __call__(
-        self, x: Tensor, desired: Tensor, solver: Solver, sent: Tensor | None, left: Tensor | None
-    ) -> tuple[Tensor, Tensor, FilterResult]:
-        """What is proposed to desired controls; arguments as of `SafetyFilter.correct`.
+    def now(self, x: Tensor, sent: Sequence[Tensor], left: Tensor | None) -> tuple[Tensor, Tensor]:
+        """States (16, B) of now, and by how much further than measured they may be off (4, B).
 
-        Returns:
-            The states now, as they are predicted (16, B); by how much further than measured they may be off (4, B);
-            what is proposed, not verified.
+        Args:
+            sent, left: see `SafetyFilter.correct`.
         """
-        left = (torch.ones_like(desired) if left is None else left) if self.uncertainty.health else None
         error_bound = torch.zeros_like(x[:KINDS])
-        for u in () if sent is None else sent:
-            x, error_bound = self.predictor(x, error_bound, u if left is None else left * u)
-        control, found = self.torque_then_thrust(x, desired, left, self.rows_of, partial(solved, solver))
-        status, no = torch.stack([each.status for each in found]), torch.zeros_like(x[0], dtype=torch.bool)
-        return (
-            x,
-            error_bound,
-            FilterResult(
-                control=control,
-                intervened=(control != desired).any(0),
-                verified=no,
-                backup=no,
-                active=joined(*(each.active for each in found)),
-                slack=joined(*(each.slack for each in found)),
-                status=status.amax(0),
-                program_status=status,
-                h=joined(*(each.h for each in found)),
-            ),
-        )
+        for u in sent:
+            x, error_bound = call(self.predictor, x, error_bound, u if left is None else left * u)
+        return x, error_bound
 
-    def torque_then_thrust(
-        self,
-        x: Tensor,
-        desired: Tensor,
-        left: Tensor | None,
-        rows_of: Sequence[BatchFunction],
-        solve_group: SolveGroup,
-    ) -> tuple[Tensor, list[Found]]:
+    def __call__(self, x: Tensor, desired: Tensor, left: Tensor | None) -> tuple[Tensor, list[Found]]:
         """Controls (6, B) at predicted states (16, B), and what is found for each group, thrust first.
 
         Args:
             left: (6, B) the share that each actuator gives; None: all of it.
-            rows_of: computes the rows of each group; solve_group: finds the controls of one.
         """
-        demand = self.demand(x, desired, left)
+        demand = call(self.demand, x, desired, left)
         control, both = demand.control, {}
         for i in TORQUE_THEN_THRUST:
             group, own = self.groups[i], self.groups[i].controls
             if self.kind == "none":
-                found = Found.as_desired(control[own], demand.status[i], group.values(x))
-                found = zero_if_not_finite(x, found)
+                h = call(group.values, x, long=self.long, name=f"{group.actuator}_values")
+                found = zero_if_not_finite(x, as_desired(control[own], demand.status[i], h))
             else:
-                more, share = ([], None) if left is None else ([left], left[own])
-                rows = ScaledRows(*rows_of[i](x, control, *more))
-                found = Found.as_desired(control[own], demand.status[i], rows.h)
-                found = solve_group(group, rows, demand.projected[own], found, share)
-                slack = found.slack.maximum(
-                    shortfall(group, rows, found.control if share is None else share * found.control)
-                )
-                found = found._replace(slack=slack, status=with_shortfall(found.status, slack))
+                more, share = ((), None) if left is None else ((left,), left[own])
+                rows = ScaledRows(*self.rows_of[i](x, control, *more))
+                found = as_desired(control[own], demand.status[i], rows.h)
+                found = self.solved(group, rows, demand.projected[own], found, share)
                 if self.uncertainty.is_quantised and own == THRUST:
                     found = found._replace(control=self.uncertainty.quantised(found.control, group.limit))
             control = with_own(control, group, found.control)
             both[i] = found
         return control, [both[0], both[1]]
+
+    def solved(
+        self, group: ActuatorGroup, rows: ScaledRows, projected: Tensor, found: Found, share: Tensor | None
+    ) -> Found:
+        """The solutions of a group's programs, where the control that was found breaks a row.
+
+        Args:
+            projected: (3, B) what is projected; share: (3, B) that the group's actuators give, None: all.
+        """
+        is_broken = ~(rows.lowest >= 0.0)  # NaN must not pass
+        asked = call(to_qp, group, rows, projected, share, name=f"{group.actuator}_program")
+        answer = self.solver.solve(Problems(*asked, group.weights), is_broken)
+        solution = answer.control, answer.status, is_broken
+        return call(
+            concluded, group, rows, asked, found, *solution, share, name=f"{group.actuator}_concluded"
+        )
 
     def demand(self, x: Tensor, desired: Tensor, left: Tensor | None) -> Demand:
         """What is filtered at states (16, B): what thrusters give, and torque that turns a weak axis away."""
@@ -196,6 +181,11 @@ class Propose:
         changed = differ(control, demand.control, self.groups)
         projected = torch.where(changed.repeat_interleave(3, 0), control, demand.projected)
         return Demand(projected, control, torch.where(changed, Status.HARD, demand.status))
+
+
+def listed_rows(group: ActuatorGroup, *given: Tensor) -> list[Tensor]:
+    """`scale_rows` as a list, which compiled functions return."""
+    return list(scale_rows(group, *given))
 
 
 def demanded(desired: Tensor, groups: Sequence[ActuatorGroup]) -> Demand:
@@ -232,29 +222,32 @@ def zero_if_not_finite(x: Tensor, found: Found) -> Found:
     return found._replace(control=control, status=status)
 
 
-def solved(
-    solver: Solver,
+def concluded(
     group: ActuatorGroup,
     rows: ScaledRows,
-    projected: Tensor,
+    asked: Program,
     found: Found,
+    solution: Tensor,
+    status: Tensor,
+    is_broken: Tensor,
     share: Tensor | None,
 ) -> Found:
-    """Solves the programs of a group where the desired control breaks a row, as `SolveGroup`."""
-    unsafe = torch.nonzero(~(rows.lowest[0] >= 0.0)).flatten()  # NaN must not pass
-    if not unsafe.numel():
-        return found
-    broken = ScaledRows(*(pick(field, unsafe) for field in rows))
-    share = None if share is None else pick(share, unsafe)
-    asked = to_qp(group, broken, pick(projected, unsafe) / group.limit, share)
-    answer = solver.solve(asked)
-    active, slack = from_qp(group, asked, broken.length, answer.control, answer.status)
-    found = Found(*(part.clone() for part in found))
-    for whole, part in (
-        (found.control, answer.control * group.limit),
-        (found.status, answer.status),
-        (found.active, active),
-        (found.slack, slack),
-    ):
-        put(whole, unsafe, part)
-    return found
+    """The solution (3, B) of a group's programs in the place of what was found where that breaks a row, (B,) bool."""
+    active, slack = from_qp(group, asked, rows.length, solution, status)
+    control = torch.where(is_broken, solution * group.limit, found.control)
+    given = control if share is None else share * control
+    slack = torch.where(is_broken, slack, 0.0).maximum(shortfall(group, rows, given))
+    status = with_shortfall(torch.where(is_broken, status, found.status), slack)
+    return Found(control, status, active & is_broken, slack, found.h)
+
+
+def as_desired(control: Tensor, status: Tensor, h: Tensor) -> Found:
+    """A control that is not corrected."""
+    return Found(control, status, torch.zeros_like(h, dtype=torch.bool), torch.zeros_like(h), h)
+
+
+def solver_of(groups: Sequence[ActuatorGroup]) -> Solver:
+    """The active-set method for the programs of groups: one function for all."""
+    classes = sorted({w for group in groups for w in group.weights if math.isfinite(w)})
+    attempted = ATTEMPTED_SAMPLED if groups[0].kind == "sampled" else ATTEMPTED
+    return ActiveSet(attempted, max(len(group.weights) for group in groups), classes)

@@ -39,11 +39,6 @@ AnyFilter = SafetyFilter | FlownPaperFilter
 
 EPISODE = 3600  # s, about as long as an agent takes
 
-# Spacecraft from which the batched solver is the faster one on a CPU where nothing is compiled: about half of them have
-# a program to solve, and `python main.py benchmark` shows both solvers by the number of programs at once, which cross
-# below 16.
-WORTH_BATCHING = 32
-
 # what "free_flight" in `observed` depends on
 OF_FREE_FLIGHT = ("passive_safety_horizon", "free_flight_horizon", "deputy_radius", "chief_radius")
 
@@ -91,7 +86,7 @@ class Experiment:
         steps = seconds / config.inspection.action_period
         holds = config.rta.filter == "checked" and config.uncertainty.needs_sampled_rows(config.rta)
         self.filter_compiled = config.train.rta and wants_compile(choice, calls, holds)
-        self.config = with_solver(config, batch, self.device)
+        self.config = settled(config)
         self.compiled = wants_compile(choice, steps)
         self.task = with_hull(with_correction_price(config), config.chief)
         self.filter = filter_of(self.config)
@@ -295,26 +290,15 @@ def check_cache() -> None:
             Path(path).mkdir(parents=True, exist_ok=True)
 
 
-def with_solver(config: AnyConfig, batch: int, device: torch.device) -> AnyConfig:
-    """The configuration with the solver and the chief's mesh settled, which determine a run's numbers.
-
-    The solver depends on what a person asks for, not on whether compiling is repaid or there is a compiler: what is
-    compiled solves in C, as the batched solver does.
-    """
+def settled(config: AnyConfig) -> AnyConfig:
+    """The configuration with its solver and the digest of the chief's mesh, which determine a run's numbers."""
     with as_input_error("[chief]", ValueError):
         config = replace(
             config, chief=replace(config.chief, mesh=config.chief.mesh and with_digest(config.chief.mesh))
         )
     if config.rta.qp_solver != "auto":
         return config
-    if config.rta.filter == "paper":
-        return replace(config, rta=replace(config.rta, qp_solver="piqp"))
-    # with sampled rows PIQP is no faster, see `SafetyFilter`
-    is_sampled = config.uncertainty.rows(config.rta) == "sampled"
-    suits_piqp = (
-        device.type == "cpu" and batch < WORTH_BATCHING and not is_sampled and config.train.compile == "off"
-    )
-    solver = "piqp" if suits_piqp else "batched"
+    solver = "piqp" if config.rta.filter == "paper" else "batched"
     return replace(config, rta=replace(config.rta, qp_solver=solver))
 
 

@@ -13,10 +13,11 @@ from typing import Any
 from inspection.chief.mesh import with_digest
 from inspection.model.parameters import ChiefParameters, Limits
 from inspection.world.parameters import PlantParameters
+from kernels.cache import remembered
 from ppo.distributed import is_first
 from rta.constraints.names import OWN, PAPERS
 from rta.limits import PAPER
-from rta.printed import source
+from rta.printed.batch import recorded, uncompiled
 from rta.printed.files import implementation
 from settings import override, rules
 from study.config import Config
@@ -88,10 +89,10 @@ def fingerprint(config: Config) -> str:
 
 
 def code_digest(config: Config) -> str:
-    """The first 12 hexadecimal digits of the SHA-256 of a configuration's filter as C, for one and for vectors."""
+    """The first 12 hexadecimal digits of the SHA-256 of a configuration's filter as C, for one and for a batch."""
     safety_filter = checked_filter(config)
-    vectors = sorted((Path(source.__file__).parent / "driver" / "batch").iterdir())
-    texts = [implementation(safety_filter), *(path.read_text(encoding="utf-8") for path in vectors)]
+    batch = remembered(recorded, uncompiled(safety_filter), False)
+    texts = [implementation(safety_filter), *batch.parts, batch.waiting]
     return hashlib.sha256("".join(texts).encode()).hexdigest()[:12]
 
 

@@ -506,7 +506,7 @@ class Problems:
     def tensors(self) -> qp.Problems:
         parts = (self.desired, self.a, self.b, self.b_no_margin)
         return qp.Problems(
-            *(torch.tensor(x).movedim(0, -1).contiguous() for x in parts), torch.tensor(self.weight)
+            *(torch.tensor(x).movedim(0, -1).contiguous() for x in parts), self.weight.tolist()
         )
 
 

@@ -12,9 +12,9 @@ from ppo.parameters import PPOParameters
 from ppo.rollout import collect
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from rta.qp.batched_solver import BatchedSolver
+from rta.qp.active_set import ActiveSet
 from rta.qp.programs import Problems
-from tests.rta.qp.test_batched_solver import synthetic
+from tests.rta.qp.test_active_set import synthetic
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 C = InspectionParameters()
@@ -43,10 +43,11 @@ def test_an_episode_is_the_same_on_both_devices(rta: bool) -> None:
     torch.testing.assert_close(observations[0], observations[1], rtol=1e-5, atol=1e-5)
 
 
-def test_batched_solver_gives_the_same_answers_on_both_devices() -> None:
+def test_the_active_set_method_gives_the_same_answers_on_both_devices() -> None:
     problems = synthetic(300, 11, seed=0)
-    parts = (problems.desired, problems.a, problems.b, problems.b_no_margin, problems.weight)
-    answers = [BatchedSolver().solve(Problems(*(x.to(device) for x in parts))) for device in DEVICES]
+    parts = (problems.desired, problems.a, problems.b, problems.b_no_margin)
+    asked = [Problems(*(x.to(device) for x in parts), problems.weight) for device in DEVICES]
+    answers = [ActiveSet().solve(each) for each in asked]
     assert answers[1].control.is_cuda
     assert (answers[0].status == answers[1].status.cpu()).all()
     torch.testing.assert_close(answers[0].control, answers[1].control.cpu(), rtol=0, atol=1e-6)

@@ -7,7 +7,7 @@ that of both laws in the model (`rta.backup.nominal_check`), or, with error boun
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -15,14 +15,16 @@ from torch import Tensor
 
 from inspection.fixed import Fixed
 from inspection.model.state import THRUST, TORQUE
+from kernels.control import call, loop, when
 from rta.constraints.names import PAPERS
-from rta.qp.programs import Status, pick, put
+from rta.qp.programs import Status
 from rta.result import FilterResult
 
 # limits that are kept by thrust, and by torque: the first of Table 3, then the rates
 MOTION, ATTITUDE = 7, 3
 LIMITS = MOTION + ATTITUDE + 1  # the body rates are one
 SLACK_ROUNDED = 1e-9  # in the unit of slack, up to which it is a solver's rounding
+CONTROLS = THRUST, TORQUE  # of the groups
 SHARES = (0.25, 0.5, 0.75)  # tried between the proposed control and the backup law's
 
 
@@ -65,19 +67,20 @@ class Check(Fixed, ABC):
         return torch.cat((self.thrust(y, torque), torque))
 
     @abstractmethod
-    def is_safe(self, y: Tensor, u: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
+    def is_safe(self, y: Tensor, u: Tensor, broken: Tensor, asked: Tensor) -> Tensor:
         """(2, B) bool: thrust, torque of controls (6, B) keep their limits in a hold and on the backup trajectory.
 
         Args:
-            broken: as of `fit`; asked: the groups that matter; of the other one nothing is said.
+            broken: as of `fit`; asked: (2, B) bool, where each matters; elsewhere nothing is said.
         """
 
     def quantised(self, u: Tensor) -> Tensor:
         """Rounds controls (6, B) to those that the actuators can give."""
         return u
 
-    def follow(self, y: Tensor, u: Tensor, safe: Tensor, changed: Tensor, broken: Tensor) -> None:
-        """Puts both laws' controls where no other control is safe, if the laws' are; arguments as in `committed`."""
+    def followed(self, y: Tensor, u: Tensor, broken: Tensor) -> list[Tensor]:
+        """Both laws' controls (6, B) where they are known to be safe, else u; (B,) bool, where they are."""
+        return [u, torch.zeros_like(broken[0])]
 
     def commit(
         self, x: Tensor, error_bound: Tensor, desired: Tensor, result: FilterResult, of_torque: Sequence[bool]
@@ -92,17 +95,9 @@ class Check(Fixed, ABC):
             of_torque: by constraint, torque enforces it; else thrust does.
         """
         y = self.seen(x, error_bound)
-        broken, fit = self.fit(y, result.h[: len(PAPERS)])
+        broken, fit = call(self.fit, y, result.h[: len(PAPERS)])
         control, safe, changed = self.committed(y, result.control, broken, fit)
-        group = torch.tensor(of_torque, device=x.device).long()
-        kept = safe[group]
-        kept[: MOTION + ATTITUDE] &= ~broken[: MOTION + ATTITUDE]
-        kept[MOTION + ATTITUDE : len(PAPERS)] &= ~broken[-1]
-        kept[len(PAPERS) :] = False
-        slack = result.slack.masked_fill(kept, 0.0)
-        yields = torch.stack([(slack[group == i] > SLACK_ROUNDED).any(0) for i in range(2)])
-        status = torch.where(changed, result.program_status.clamp(min=Status.HARD), result.program_status)
-        status = torch.where(safe & ~yields & (status == Status.SLACK), Status.HARD, status)
+        slack, status = call(concluded, result.slack, result.program_status, broken, safe, changed, of_torque)
         return replace(
             result,
             control=control,
@@ -114,7 +109,7 @@ class Check(Fixed, ABC):
             program_status=status,
         )
 
-    def committed(self, y: Tensor, u: Tensor, broken: Tensor, fit: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def committed(self, y: Tensor, u: Tensor, broken: Tensor, fit: Tensor) -> list[Tensor]:
         """What is applied in the place of proposed controls (6, B).
 
         Args:
@@ -123,60 +118,81 @@ class Check(Fixed, ABC):
         Returns:
             Controls (6, B); (2, B) bool: thrust and torque are safe; (2, B) bool: they are other ones.
         """
-        u = u.clone()
-        safe = self.is_safe(y, u, broken) & fit
-        changed = ~safe & fit
-        for group, own in ((1, TORQUE), (0, THRUST)):
-            columns = torch.nonzero(changed[group]).flatten()
-            if not columns.numel():
-                continue
-            there, asked, others = pick(y, columns), pick(u, columns), pick(broken, columns)
-            law = self.thrust(there, asked[TORQUE]) if group == 0 else self.torque(there)
+        safe = self.is_safe(y, u, broken, fit) & fit
+        changed = fit & ~safe
+        given = y, u, broken, fit, safe
+        return when(changed.any(0), self.replaced, [u, safe, changed], *given, waits=True)
 
-            def is_safe(
-                at: Tensor, tried: Tensor, there: Tensor = there, others: Tensor = others, group: int = group
-            ) -> Tensor:
-                return self.is_safe(pick(there, at), tried, pick(others, at), (group,))[group]
+    def replaced(self, y: Tensor, u: Tensor, broken: Tensor, fit: Tensor, safe: Tensor) -> list[Tensor]:
+        """What is applied in the place of controls that are not safe, as `committed`."""
+        no = torch.zeros_like(safe[0])
+        turned = fit[1] & ~safe[1]
+        u, torque = when(turned, self.nearest, [u, no], y, u, broken, 1, waits=True, name="nearest_torque")
+        # thrust is looked at again, with the torque that is applied
+        (thrust,) = when(turned & fit[0], self.is_thrust_safe, [safe[0]], y, u, broken, waits=True)
+        pushed = fit[0] & ~thrust
+        u, other = when(pushed, self.nearest, [u, no], y, u, broken, 0, waits=True, name="nearest_thrust")
+        safe, changed = torch.stack((thrust | other, safe[1] | torque)), torch.stack((pushed, turned))
+        u, followed = when(~safe.all(0), self.followed, [u, no], y, u, broken, waits=True)
+        return [u, safe | followed, changed | followed]
 
-            control, found = nearest(asked, own, law, is_safe, self.quantised)
-            put(u, columns, control)
-            put(safe[group], columns, found)
-            if group == 1:  # thrust is looked at again, with the torque that is applied
-                can = pick(fit[0], columns)
-                again = self.is_safe(there, control, others, (0,))[0] & can
-                put(safe[0], columns, again)
-                put(changed[0], columns, ~again & can)
-        self.follow(y, u, safe, changed, broken)
-        return u, safe, changed
+    def is_thrust_safe(self, y: Tensor, u: Tensor, broken: Tensor) -> list[Tensor]:
+        """(B,) bool."""
+        return [self.is_safe(y, u, broken, only(0, broken))[0]]
+
+    def nearest(self, y: Tensor, u: Tensor, broken: Tensor, group: int) -> list[Tensor]:
+        """The first safe control between u (6, B) and the law's of a group, else the law's.
+
+        Returns:
+            Controls (6, B); (B,) bool: they are safe.
+        """
+        law = self.torque(y) if group else self.thrust(y, u[TORQUE])
+        count, no = torch.zeros_like(broken[0], dtype=torch.int64), torch.zeros_like(broken[0])
+        state = [count, self.quantised(with_own(u, group, law)), no]
+        given = y, u, broken, law, group
+        everywhere = torch.ones_like(no)
+        return loop(self.share, state, *given, alive=everywhere, most=len(SHARES) + 1, waits=True)[1:]
+
+    def share(
+        self,
+        number: Tensor,
+        best: Tensor,
+        found: Tensor,
+        y: Tensor,
+        u: Tensor,
+        broken: Tensor,
+        law: Tensor,
+        group: int,
+    ) -> tuple[list[Tensor], Tensor]:
+        """Tries the next share of the way from a group's controls to its law's (3, B), in turn."""
+        share = u.new_tensor((*SHARES, 1.0))[number]
+        one = u[CONTROLS[group]]
+        between = (one + share * (law - one)).clamp(torch.minimum(one, law), torch.maximum(one, law))
+        tried = self.quantised(with_own(u, group, between))
+        safe = self.is_safe(y, tried, broken, only(group, broken))[group]
+        return [number + 1, torch.where(safe, tried, best), safe], ~safe
 
 
-def nearest(
-    u: Tensor,
-    own: slice,
-    law: Tensor,
-    is_safe: Callable[[Tensor, Tensor], Tensor],
-    quantised: Callable[[Tensor], Tensor],
+def concluded(
+    slack: Tensor, status: Tensor, broken: Tensor, safe: Tensor, changed: Tensor, of_torque: Sequence[bool]
 ) -> tuple[Tensor, Tensor]:
-    """Returns the first safe control between u (6, M) and the law's (3, M), else the law's.
+    """Slack (constraints, B) and statuses (2, B) once it is known what is safe and what was changed, (2, B) bool."""
+    rates = broken[-1].expand(len(PAPERS) - MOTION - ATTITUDE, -1)
+    own = torch.ones_like(slack[len(PAPERS) :], dtype=torch.bool)
+    kept = torch.stack([safe[int(torque)] for torque in of_torque]) & ~torch.cat((broken[:-1], rates, own))
+    slack = torch.where(kept, 0.0, slack)
+    groups = [[each == torque for each in of_torque] for torque in (False, True)]
+    yields = torch.stack([(slack[group] > SLACK_ROUNDED).any(0) for group in groups])
+    status = torch.where(changed, status.clamp(min=Status.HARD), status)
+    return slack, torch.where(safe & ~yields & (status == Status.SLACK), Status.HARD, status)
 
-    Args:
-        own: the controls of a group; is_safe: of indices (k,) of M and controls (6, k), (k,) bool.
-        quantised: rounds controls (6, k) to those that the actuators can give.
 
-    Returns:
-        Controls (6, M); (M,) bool: they are safe.
-    """
-    there = u.clone()
-    there[own] = law
-    best, found = quantised(there), torch.zeros_like(u[0], dtype=torch.bool)
-    for share in (*SHARES, 1.0):
-        left = torch.nonzero(~found).flatten()
-        if not left.numel():
-            break
-        one, other = pick(u, left), pick(there, left)
-        tried = (one + share * (other - one)).clamp(torch.minimum(one, other), torch.maximum(one, other))
-        tried = quantised(tried)
-        safe = is_safe(left, tried)
-        put(best, left[safe], tried[:, safe])
-        put(found, left, safe)
-    return best, found
+def only(group: int, broken: Tensor) -> Tensor:
+    """(2, B) bool: one group matters."""
+    yes = torch.ones_like(broken[0])
+    return torch.stack((yes, ~yes) if group == 0 else (~yes, yes))
+
+
+def with_own(u: Tensor, group: int, own: Tensor) -> Tensor:
+    """Controls (6, B) with others (3, B) of a group's own."""
+    return torch.cat((own, u[TORQUE]) if group == 0 else (u[THRUST], own))

@@ -19,12 +19,15 @@ from inspection.model.dynamics import (
 )
 from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, THRUST, TORQUE, E, Q, T, V
+from kernels.control import when
+from kernels.printer import if_long
 from rta.backup.intersample_bounds import FreeFlight, between, strays
 
 LOOK = 3.5  # s, between two looks at motion at most
 # Cells of passive safety's horizon, and searches in each, see `FreeFlight`. In C they are looped over, so that no other
 # axis may be a multiple of them.
 CELLS = (13, 1)
+MOTION = 7  # limits of motion
 FLAT = 1.5  # rad, whose cotangent counts where the camera is farther from the Sun
 
 
@@ -93,21 +96,27 @@ def path(x: Tensor, u: Tensor, w: Flight) -> list[Tensor]:
     return states
 
 
-def hold(x: Tensor, u: Tensor, w: Flight) -> tuple[Tensor, Tensor]:
-    """A hold of controls (6, B) at states (16, B): the states after it, and the least of each limit in it (11, B)."""
-    states, motion, first = path(x, u, w), [], 0
+def hold(x: Tensor, u: Tensor, asked: Tensor, w: Flight) -> tuple[Tensor, Tensor]:
+    """A hold of controls (6, B) at states (16, B): the states after it, and the least of each limit in it (11, B).
+
+    Args:
+        asked: (B,) bool, where the limits of motion matter; elsewhere they are zero.
+    """
+    states = path(x, u, w)
+    nothing = torch.zeros_like(x[:MOTION])
+    (motion,) = when(asked, motion_along, [nothing], w, u, *states, long=if_long(len(w.c.planes)) or CELLS[0])
+    return states[-1], torch.cat((motion, attitude_along(states, u, w)))
+
+
+def motion_along(w: Flight, u: Tensor, *states: Tensor) -> list[Tensor]:
+    """The least of each limit of motion in a hold (7, B)."""
+    motion, first = [], 0
     for steps in w.looks:
         last = first + steps
         fast = torch.stack([peak(y, u, w.seconds, w) for y in states[first:last]]).amax(0)
         motion.append(motion_between(states[first], states[last], u, fast, steps * w.seconds, w))
         first = last
-    return states[-1], torch.cat((torch.stack(motion).amin(0), attitude_along(states, u, w)))
-
-
-def fly_attitude(x: Tensor, u: Tensor, w: Flight) -> tuple[Tensor, Tensor]:
-    """Flies a hold as `hold` does, with the limits of attitude alone: (4, B)."""
-    states = path(x, u, w)
-    return states[-1], attitude_along(states, u, w)
+    return [torch.stack(motion).amin(0)]
 
 
 def attitude_along(states: Sequence[Tensor], u: Tensor, w: Flight) -> Tensor:

@@ -8,13 +8,15 @@ that is violated already is not asked for; the others are.
 """
 
 import math
-from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
 from inspection.model.parameters import Limits
 from inspection.model.state_checks import is_state
+from kernels.compiled import Kernel
+from kernels.control import call, loop, when
+from kernels.printer import if_long
 from rta.backup.attitude_law import Pointing, has_rest, slew
 from rta.backup.commit import ATTITUDE, LIMITS, MOTION, Check
 from rta.backup.early_accept import EarlyAccept
@@ -22,7 +24,6 @@ from rta.backup.flight import Flight, hold
 from rta.backup.motion_law import Braking, brake
 from rta.backup.terminal import NoTerminalSetError, TerminalSet
 from rta.constraints.names import PAPERS
-from rta.qp.programs import pick, put
 
 KEPT = 1e-9  # in the unit of each limit, m/s, m, rad, deg C, kJ: what rounding may take
 RATES_ROUNDED = 1e-9  # rad^2/s^2, by which rates at their limit may be beyond, where the plant holds them
@@ -69,7 +70,7 @@ class NominalBackup(Check):
         self.glances = max(1, round(GLANCE / period))
         longest = max(self.early_accept.arrives, braking)
         self.max_periods = self.glances * math.ceil(longest / (self.glances * period))
-        self.flights: Callable[[Tensor, Tensor, Sequence[int]], Tensor] | None = None
+        self.flights: Kernel | None = None
 
     @classmethod
     def of(cls, c: Limits, period: float) -> "NominalBackup | None":
@@ -85,19 +86,19 @@ class NominalBackup(Check):
 
     def torque(self, x: Tensor) -> Tensor:
         """The law's torque (3, B) in N m at states (16, B)."""
-        return slew(x, self.pointing)
+        return call(slew, x, self.pointing)
 
     def thrust(self, x: Tensor, torque: Tensor) -> Tensor:
         """The law's thrust (3, B) in N at states (16, B) while torque (3, B) is held."""
-        return brake(x, torque, self.braking)
+        return call(brake, x, torque, self.braking)
 
-    def hold(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        """The states after a hold of controls (6, B) at states (16, B), and the least of each limit in it (11, B)."""
-        return hold(x, u, self.flight)
+    def hold(self, x: Tensor, u: Tensor, asked: Tensor) -> tuple[Tensor, Tensor]:
+        """`hold` of the plant's steps."""
+        return call(hold, x, u, asked, self.flight)
 
     def at_once(self, x: Tensor) -> Tensor:
         """A lower bound of each limit on the laws' flight from states (16, B), by one look: (11, B)."""
-        return torch.cat((self.early_accept.motion(x), self.early_accept.attitude(x)))
+        return call(at_once, x, self.early_accept, long=if_long(len(self.c.planes)))
 
     # the check
 
@@ -113,47 +114,53 @@ class NominalBackup(Check):
 
     def has_backup_trajectory(self, x: Tensor) -> Tensor:
         """(B,) bool: from states (16, B) the laws keep all limits for good."""
-        return self.has_trajectories(x, torch.zeros_like(x[:LIMITS], dtype=torch.bool)).all(0)
+        none, both = torch.zeros_like(x[:LIMITS], dtype=torch.bool), torch.ones_like(x[:2], dtype=torch.bool)
+        return self.flown(x, none, both).all(0)
 
-    def has_trajectories(self, x: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
+    def flown(self, x: Tensor, broken: Tensor, asked: Tensor) -> Tensor:
         """`fly`, in C where it can be."""
-        flights = self.flights if x.device.type == "cpu" else None
-        return (flights or self.fly)(x, broken, asked)
+        if self.flights and x.device.type == "cpu":
+            return self.flights(x, broken, asked)[0]
+        return self.fly(x, broken, asked)
 
-    def fly(self, x: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
+    def fly(self, x: Tensor, broken: Tensor, asked: Tensor) -> Tensor:
         """(2, B) bool: the laws' flight from states (16, B) keeps the limits of thrust, of torque that are not broken.
 
         Args:
             broken: (11, B) bool, limits that are not asked for.
-            asked: the groups whose limits matter; of the other one nothing is said.
+            asked: (2, B) bool, the groups whose limits matter; of the other one nothing is said.
         """
-        found = torch.zeros_like(x[:2], dtype=torch.bool)
-        found[[group for group in range(2) if group not in asked]] = True
-        flying, alive = torch.arange(x.shape[1], device=x.device), ~found
-        for k in range(self.max_periods):
-            if not flying.numel():
-                break
-            arrived = self.arrived(x, broken)
-            if k % self.glances == 0:
-                arrived = arrived | self.kept(self.at_once(x), broken)
-            arrived = alive & arrived
-            put(found, flying, pick(found, flying) | arrived)
-            alive = alive & ~arrived
-            x, least = self.hold(x, self.law(x))
-            alive = alive & self.kept(least, broken)
-            on = torch.nonzero(alive.any(0)).flatten()
-            flying, x, broken, alive = flying[on], pick(x, on), pick(broken, on), pick(alive, on)
-        return found
+        alive, found = ended(asked, ~asked, self.kept(self.at_once(x), broken))
+        legs = self.max_periods // self.glances
+        return loop(self.leg, [x, alive, found], broken, alive=alive.any(0), most=legs, waits=True)[2]
 
-    def is_safe(self, x: Tensor, u: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
+    def leg(self, x: Tensor, alive: Tensor, found: Tensor, broken: Tensor) -> tuple[list[Tensor], Tensor]:
+        """Some holds of the laws, and a look at all that is left.
+
+        Args:
+            alive: (2, B) flights that have kept their limits and not ended; found: those that ended well.
+        """
+        state = [x, alive, found]
+        x, alive, found = loop(self.held, state, broken, alive=alive.any(0), most=self.glances)
+        alive, found = ended(alive, found, self.kept(self.at_once(x), broken))
+        return [x, alive, found], alive.any(0)
+
+    def held(self, x: Tensor, alive: Tensor, found: Tensor, broken: Tensor) -> tuple[list[Tensor], Tensor]:
+        """A hold of the laws, of flights that have not arrived."""
+        alive, found = ended(alive, found, self.arrived(x, broken))
+        x, alive = when(alive.any(0), self.hold_of_laws, [x, alive], x, alive, broken)
+        return [x, alive, found], alive.any(0)
+
+    def hold_of_laws(self, x: Tensor, alive: Tensor, broken: Tensor) -> list[Tensor]:
+        """The states after a hold of both laws, and the flights (2, B) that have kept their limits in it."""
+        x, least = self.hold(x, self.law(x), alive[0])
+        return [x, alive & self.kept(least, broken)]
+
+    def is_safe(self, x: Tensor, u: Tensor, broken: Tensor, asked: Tensor) -> Tensor:
         """(2, B) bool: a hold of controls (6, B) and the laws' flight after it keep the limits, as `fly`."""
-        end, least = self.hold(x, u)
+        end, least = self.hold(x, u, asked[0])
         kept = self.kept(least, broken)
-        columns = torch.nonzero(kept[list(asked)].any(0)).flatten()
-        if columns.numel():
-            found = self.has_trajectories(pick(end, columns), pick(broken, columns), asked)
-            put(kept, columns, pick(kept, columns) & found)
-        return kept
+        return kept & self.flown(end, broken, asked & kept)
 
     @staticmethod
     def kept(least: Tensor, broken: Tensor) -> Tensor:
@@ -163,18 +170,24 @@ class NominalBackup(Check):
 
     def arrived(self, x: Tensor, broken: Tensor) -> Tensor:
         """(2, B) bool: states (16, B) are where the laws stay, of thrust and of torque; `broken` as of `fly`."""
-        inside = self.terminal.room(x) >= 0.0
+        room = call(self.terminal.room, x, long=if_long(len(self.c.planes)))
+        inside = list((room >= 0.0).unbind())
         for entry, limits in EXCUSED.items():
-            inside[entry] |= broken[list(limits)].any(0)
-        return torch.stack([inside[list(ENDS[group])].all(0) for group in range(2)])
+            inside[entry] = inside[entry] | broken[list(limits)].any(0)
+        return torch.stack([torch.stack([inside[i] for i in ENDS[group]]).all(0) for group in range(2)])
 
-    def follow(self, x: Tensor, u: Tensor, safe: Tensor, changed: Tensor, broken: Tensor) -> None:
-        """Puts both laws' controls where no other control is safe, if the laws' are: a call ago they were flown."""
-        columns = torch.nonzero(changed.any(0) & ~safe.all(0)).flatten()
-        if not columns.numel():
-            return
-        found = self.has_trajectories(pick(x, columns), pick(broken, columns)).all(0)
-        columns = columns[found]
-        put(u, columns, self.law(pick(x, columns)))
-        for part in (safe, changed):
-            put(part, columns, torch.ones_like(part[:, : columns.numel()]))
+    def followed(self, x: Tensor, u: Tensor, broken: Tensor) -> list[Tensor]:
+        """Has both groups follow their laws where that is safe: a call ago it was flown."""
+        safe = self.flown(x, broken, torch.ones_like(x[:2], dtype=torch.bool)).all(0)
+        return [torch.where(safe, self.law(x), u), safe]
+
+
+def at_once(x: Tensor, early_accept: EarlyAccept) -> Tensor:
+    """A lower bound of each limit on the laws' flight from states (16, B), by one look: (11, B)."""
+    return torch.cat((early_accept.motion(x), early_accept.attitude(x)))
+
+
+def ended(alive: Tensor, found: Tensor, well: Tensor) -> tuple[Tensor, Tensor]:
+    """Flights that are left, and those that ended well, (2, B) bool, when some more have."""
+    found = found | (alive & well)
+    return alive & ~found, found

@@ -8,14 +8,13 @@ other group does. That keeps the limits from every state from which a backup tra
 So, by induction over the true states, none is ever broken (docs/reference/proof.md, *With bounds*).
 """
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor
 
 from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, THRUST, TORQUE
 from inspection.model.state_checks import LARGEST, is_state
+from kernels.control import call, when
 from rta.backup import robust_attitude_check, robust_motion_check
 from rta.backup.attitude_law import has_rest
 from rta.backup.commit import LIMITS, Check
@@ -87,21 +86,23 @@ class RobustBackup(Check):
         )
 
     def torque(self, y: Tensor) -> Tensor:
-        return (
-            robust_attitude_check.law(y[:SIZE], self.attitude) if self.attitude else torch.zeros_like(y[:3])
-        )
+        return call(attitude_law, y, self.attitude) if self.attitude else torch.zeros_like(y[:3])
 
     def thrust(self, y: Tensor, torque: Tensor) -> Tensor:
-        return thrust(y[:SIZE], torque, self.terminal_set) if self.terminal_set else torch.zeros_like(torque)
+        return (
+            call(motion_law, y, torque, self.terminal_set) if self.terminal_set else torch.zeros_like(torque)
+        )
 
-    def is_safe(self, y: Tensor, u: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
-        x, error_bound = y[:SIZE], y[SIZE:]
-        found = torch.zeros_like(x[:2], dtype=torch.bool)
-        if self.terminal_set and 0 in asked:
-            found[0] = robust_motion_check.is_safe(x, u, error_bound, self.terminal_set, self.r)
-        if self.attitude and 1 in asked:
-            found[1] = robust_attitude_check.verified(x, u, error_bound, self.attitude) >= 0.0
-        return found
+    def is_safe(self, y: Tensor, u: Tensor, broken: Tensor, asked: Tensor) -> Tensor:
+        attitude = motion = torch.zeros_like(asked[0])
+        if w := self.attitude:
+            (attitude,) = when(asked[1], keeps_attitude, [attitude], y, u, w, waits=True)
+        if v := self.terminal_set:
+            open_ = asked[0]
+            if self.attitude:  # where torque is not safe thrust is looked at with another one
+                open_ = open_ & (attitude | ~asked[1])
+            (motion,) = when(open_, robust_motion_check.keeps_motion, [motion], y, u, v, self.r, waits=True)
+        return torch.stack((motion, attitude))
 
     def quantised(self, u: Tensor) -> Tensor:
         if not (self.terminal_set and self.terminal_set.uncertainty.is_quantised):
@@ -109,6 +110,21 @@ class RobustBackup(Check):
         return torch.cat(
             (self.terminal_set.uncertainty.quantised(u[THRUST], self.terminal_set.c.max_thrust), u[TORQUE])
         )
+
+
+def attitude_law(y: Tensor, w: AttitudeConstants) -> Tensor:
+    """The law's torque (3, B) in N m."""
+    return robust_attitude_check.law(y[:SIZE], w)
+
+
+def motion_law(y: Tensor, torque: Tensor, w: RobustTerminalSet) -> Tensor:
+    """The law's thrust (3, B) in N while torque (3, B) is held."""
+    return thrust(y[:SIZE], torque, w)
+
+
+def keeps_attitude(y: Tensor, u: Tensor, w: AttitudeConstants) -> list[Tensor]:
+    """(B,) bool: torque of controls (6, B) keeps the limits, as the backup trajectory does."""
+    return [robust_attitude_check.verified(y[:SIZE], u, y[SIZE:], w) >= 0.0]
 
 
 def terminal_set_of(c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> RobustTerminalSet | None:

@@ -4,20 +4,19 @@ A backup trajectory (`rta.backup.error_tube`) has to begin at every call that ma
 *With bounds: motion*).
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from inspection.model.attitude import norm, rotate
-from inspection.model.state import THRUST, P, Q, V
+from inspection.model.state import SIZE, THRUST, P, Q, V
+from kernels.control import call, when
 from rta.backup.error_tube import Node, between, trajectory_margin
 from rta.backup.intersample_bounds import lowest, strays
 from rta.backup.robust_terminal_set import RobustTerminalSet
 from rta.bounds.prediction import predicted
 from rta.parameters import RtaParameters
-from rta.qp.programs import pick, put
 
 FAR = 1e6  # m, beyond every distance: of a hold nothing is assumed of where it leads
 
@@ -28,23 +27,45 @@ def has_backup_trajectory(x: Tensor, w: RobustTerminalSet) -> Tensor:
     return trajectory_margin(x[P], x[V], none, none, none, w) >= 0.0
 
 
-def is_safe(x: Tensor, u: Tensor, error_bound: Tensor, w: RobustTerminalSet, r: RtaParameters) -> Tensor:
-    """(B,) bool: thrust of controls (6, B) keeps the limits, as the backup trajectory does; see `hold_bounds`."""
+def keeps_motion(y: Tensor, u: Tensor, w: RobustTerminalSet, r: RtaParameters) -> list[Tensor]:
+    """(B,) bool: thrust of controls (6, B) keeps the limits, as the backup trajectory does; see `hold_bounds`.
 
-    def looked_at(columns: Tensor) -> Tensor:
-        hold = hold_bounds(pick(x, columns), pick(u, columns), pick(error_bound, columns), w, r)
-        return closely(hold, w) >= 0.0
+    Args:
+        y: states (16, B) as predicted, and by how much further than measured they may be off, (4, B).
+    """
+    no = torch.zeros_like(y[0], dtype=torch.bool)
+    kept, state, late = call(hold_at_a_glance, y, u, w, r)
+    (seen,) = when(kept, has_trajectory, [no], state, late, w, waits=True)
+    (closer,) = when(kept & ~seen, closely, [no], y, u, w, r, waits=True)
+    return [seen | closer]
 
-    return either(at_a_glance(hold_bounds(x, u, error_bound, w, r), w), looked_at)
+
+def hold_at_a_glance(y: Tensor, u: Tensor, w: RobustTerminalSet, r: RtaParameters) -> list[Tensor]:
+    """(B,) bool: a hold keeps the limits; a state with bounds (20, B), and how late (B,), for all its ends."""
+    hold = hold_bounds(y, u, w, r)
+    middle = hold.x[(len(hold.x) - 1) // 2]
+    shifted = [
+        torch.stack(
+            (bound[0] + norm(x[P] - middle[P]), bound[1] + norm(x[V] - middle[V]), bound[2], bound[3])
+        )
+        for x, bound in zip(hold.x, hold.error_bound, strict=True)
+    ]
+    widest, late = torch.stack(shifted).amax(0), torch.stack(hold.late).amax(0)
+    return [hold.least >= 0.0, torch.cat((middle, widest)), late]
 
 
-def either(least: Tensor, closer_look: Callable[[Tensor], Tensor]) -> Tensor:
-    """(B,) bool: the least of the limits (B,) is not negative at a glance, or a closer look at the columns finds so."""
-    safe = least >= 0.0
-    columns = torch.nonzero(~safe).flatten()
-    if columns.numel():
-        put(safe, columns, closer_look(columns))
-    return safe
+def closely(y: Tensor, u: Tensor, w: RobustTerminalSet, r: RtaParameters) -> list[Tensor]:
+    """(B,) bool: a hold keeps the limits, and so does the backup trajectory from each of its possible ends."""
+    hold = hold_bounds(y, u, w, r)
+    kept = hold.least >= 0.0
+    for x, bound, late in zip(hold.x, hold.error_bound, hold.late, strict=True):
+        (kept,) = when(kept, has_trajectory, [kept], torch.cat((x, bound)), late, w, waits=True)
+    return [kept]
+
+
+def has_trajectory(y: Tensor, late: Tensor, w: RobustTerminalSet) -> list[Tensor]:
+    """(B,) bool: the backup trajectory from a possible end of a hold keeps the limits."""
+    return [call(trajectory_margin_at, y, late, w, long=w.free.cells) >= 0.0]
 
 
 def may_be_kept(x: Tensor, error_bound: Tensor, w: RobustTerminalSet) -> Tensor:
@@ -84,47 +105,24 @@ class HoldBounds(NamedTuple):
     late: list[Tensor]
 
 
-def hold_bounds(
-    x: Tensor, u: Tensor, error_bound: Tensor, w: RobustTerminalSet, r: RtaParameters
-) -> HoldBounds:
-    """A hold of u (6, B).
-
-    Args:
-        x: states (16, B) as predicted; error_bound: (4, B) by how much further than measured they may be off.
-    """
-    parts, grown = [], [error_bound[1]]
-    found = HoldBounds(x[0], [], [], [])
-    for call in range(calls(w)):
-        x, error_bound, least = hold_period(x, u, error_bound, w, r)
-        parts.append(least)
+def hold_bounds(y: Tensor, u: Tensor, w: RobustTerminalSet, r: RtaParameters) -> HoldBounds:
+    """A hold of u (6, B), one that has broken a limit no longer; y: as of `keeps_motion`."""
+    x, error_bound = y[:SIZE], y[SIZE:]
+    least, grown = torch.full_like(y[0], torch.inf), [error_bound[1]]
+    found = HoldBounds(least, [], [], [])
+    for k in range(calls(w)):
+        given = x, u, error_bound, w, r
+        x, error_bound, own = when(
+            least >= 0.0, hold_period, [x, error_bound, least], *given, long=w.free.cells
+        )
+        least = torch.minimum(least, own)
         grown.append(error_bound[1])
         # the law's first call measures what happened until then
-        before = call + 1 - w.uncertainty.latency
+        before = k + 1 - w.uncertainty.latency
         found.x.append(x)
         found.error_bound.append(error_bound)
         found.late.append(error_bound[1] - grown[before] if before >= 0 else error_bound[1])
-    return found._replace(least=lowest(torch.stack(parts)))
-
-
-def at_a_glance(hold: HoldBounds, w: RobustTerminalSet) -> Tensor:
-    """Returns a lower bound of the limits in a hold and after it, by one trajectory for all its possible ends: (B,)."""
-    middle = hold.x[(len(hold.x) - 1) // 2]
-    shifted = [
-        torch.stack(
-            (bound[0] + norm(x[P] - middle[P]), bound[1] + norm(x[V] - middle[V]), bound[2], bound[3])
-        )
-        for x, bound in zip(hold.x, hold.error_bound, strict=True)
-    ]
-    widest, late = torch.stack(shifted).amax(0), torch.stack(hold.late).amax(0)
-    return torch.minimum(hold.least, trajectory_margin_at(middle, widest, late, w))
-
-
-def closely(hold: HoldBounds, w: RobustTerminalSet) -> Tensor:
-    """Returns the same, by a look at each backup trajectory."""
-    margins = [
-        trajectory_margin_at(*each, w) for each in zip(hold.x, hold.error_bound, hold.late, strict=True)
-    ]
-    return lowest(torch.stack((hold.least, *margins)))
+    return found._replace(least=least)
 
 
 def calls(w: RobustTerminalSet) -> int:
@@ -132,9 +130,10 @@ def calls(w: RobustTerminalSet) -> int:
     return round(w.longest / w.period)
 
 
-def trajectory_margin_at(x: Tensor, error_bound: Tensor, late: Tensor, w: RobustTerminalSet) -> Tensor:
-    """Returns `trajectory_margin` from states (16, B) that may be off by (4, B) more, see `hold_bounds`."""
+def trajectory_margin_at(y: Tensor, late: Tensor, w: RobustTerminalSet) -> Tensor:
+    """Returns `trajectory_margin` from states with bounds (20, B), see `hold_bounds`."""
     position, velocity, _, _ = w.uncertainty.radii
+    x, error_bound = y[:SIZE], y[SIZE:]
     return trajectory_margin(x[P], x[V], position + error_bound[0], velocity + error_bound[1], late, w)
 
 

@@ -5,7 +5,6 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Sequence
-from copy import copy
 from functools import partial
 from pathlib import Path
 from textwrap import wrap
@@ -18,18 +17,8 @@ from kernels.cache import remembered
 from kernels.exported import REFUSES_FAST_MATH, check_directory, check_prefix, prefixed
 from kernels.printer import printed
 from rta.constraints.names import UNITS
-from rta.printed.batch import recorded
-from rta.printed.source import (
-    constants,
-    define,
-    driver_files,
-    driver_text,
-    entries,
-    for_one,
-    interface,
-    table,
-    text_of,
-)
+from rta.printed.batch import recorded, uncompiled
+from rta.printed.source import define, driver_text, entries, for_one, interface, source, table
 from rta.printed.vectors import vectors
 from rta.qp.programs import Status
 
@@ -63,17 +52,6 @@ MEANING = {
     Status.HARD: "within the limits or corrected, every condition satisfied, at worst without its margin",
     Status.SLACK: "no control satisfies every condition: some yield, by slack, those of least weight first",
     Status.UNSOLVED: "no program was solved: the least-violating control known; of a state with NaN, zero",
-}
-SECTIONS = {  # by file of the driver
-    "numbers.c": "Numbers and groups of actuators",
-    "solver.c": "Quadratic programs, solved by an active-set method",
-    "rows.c": "From rows to programs, and to what is reported",
-    "filter.c": "The order of a call",
-    "round.c": "What thrusters give",
-    "commit.c": "What is applied in the place of a control that leaves no backup trajectory",
-    "flight.c": "Whether a control keeps the limits, and the flight of the backup laws after it does",
-    "robust_check.c": "Whether with error bounds a control keeps the limits and leaves a backup trajectory",
-    "commit_one.c": "The check of one spacecraft",
 }
 
 
@@ -249,34 +227,24 @@ def quoted(text: str) -> str:
 
 
 def implementation(safety_filter: "SafetyFilter") -> str:
-    """safety_filter.c: what people read first, printed functions last."""
-    own, check_parts, _ = remembered(recorded, copy(safety_filter))
-    parts = [*own, *check_parts]
+    """safety_filter.c: what is called stands before what calls it, the order of a call (`filter`) last."""
+    function = remembered(recorded, uncompiled(safety_filter), True)
     names = ",\n".join(f"    {quoted(name)}" for name in safety_filter.names)
-    given = driver_files(safety_filter)
-    titles = [
-        "Constants of the configuration",
-        *(SECTIONS[name] for name in given),
-        "Rows, printed from Python",
-    ]
-    texts = [*map(driver_text, given), text_of(parts)]
-    texts.insert(0, constants(safety_filter, parts, "\n".join(texts)))
-    texts[0] += f"\nconst char *const safety_filter_names[CONSTRAINTS] = {{\n{names}\n}};\n"
-    head = [
-        f"/* {MARK}: see safety_filter.h. Contents:",
-        *(f" *   {i}. {title}" for i, title in enumerate(titles, 1)),
-        " */",
-        '#include "safety_filter.h"',
-        "",
-        "#include <math.h>",
-        "",
-        REFUSES_FAST_MATH.format(name="safety_filter.c"),
-    ]
-    sections = [
-        f"\n/* ---- {i}. {title} ---- */\n\n{text}"
-        for i, (title, text) in enumerate(zip(titles, texts, strict=True), 1)
-    ]
-    return "\n".join([*head, *sections])
+    return "\n".join(
+        [
+            f"/* {MARK}: see safety_filter.h. The order of a call is in `filter`, near the end; V is a number, M a",
+            " * truth value. */",
+            '#include "safety_filter.h"',
+            "",
+            "#include <math.h>",
+            "",
+            REFUSES_FAST_MATH.format(name="safety_filter.c"),
+            "",
+            f"const char *const safety_filter_names[SAFETY_FILTER_CONSTRAINTS] = {{\n{names}\n}};",
+            "",
+            source(safety_filter, function),
+        ]
+    )
 
 
 # what is compared and flown
@@ -333,7 +301,7 @@ def model(safety_filter: "SafetyFilter") -> str:
     """The step of the model that example.c flies."""
     x, u = safety_filter.probe("cpu")
     run = partial(model_step, safety_filter)
-    return for_one([printed(run, x, u, name="model_step", names=(("x", "u"), ("y",)))])
+    return for_one([printed(run, x, u, name="model_step", names=(("x", "u"), ("y",)), single=True)])
 
 
 def model_step(safety_filter: "SafetyFilter", x: Tensor, u: Tensor) -> list[Tensor]:

@@ -1,43 +1,76 @@
-"""The filter in C as it is exported, called column by column in the place of `SafetyFilter.correct`."""
+"""The filter in C as it is exported, called one spacecraft after the other in the place of `SafetyFilter.correct`."""
 
+import ctypes
 from typing import TYPE_CHECKING
 
+import numpy as np
+import torch
 from torch import Tensor
 
 from kernels.build import library
-from rta.printed.batch import Columns, by_column
 from rta.printed.files import sources
-from rta.printed.source import driver_text
+from rta.result import FilterResult
 
 if TYPE_CHECKING:
     from rta.filter import SafetyFilter
-from rta.result import FilterResult
-
-SECONDS = 1e-5  # of a call, about
 
 
 class InC:
     """`correct` of a filter by the C that `rta.printed.files` writes, for batches on a CPU.
 
     Raises NoCompilerError where there is no working C compiler.
+
+    Attributes:
+        given, found: the structs of safety_filter.h.
     """
 
     def __init__(self, safety_filter: "SafetyFilter") -> None:
         texts = sources(safety_filter, only=("safety_filter.h", "safety_filter.c"))
-        head = texts["safety_filter.h"]
-        source = texts["safety_filter.c"].replace('#include "safety_filter.h"\n', head)
-        loop = ["#include <math.h>", head, by_column(safety_filter), driver_text("batch/alone.c")]
-        found = library({"filter": source, "columns": "\n".join(loop)})
-        self.columns = Columns(found, safety_filter, SECONDS)
+        head, source = texts["safety_filter.h"], texts["safety_filter.c"]
+        found = library({"filter": source.replace('#include "safety_filter.h"\n', head)})
+        self.call = found.safety_filter
+        self.call.argtypes, self.call.restype = [ctypes.c_void_p, ctypes.c_void_p], None
+        self.room, count = safety_filter.uncertainty.latency, len(safety_filter.names)
+        sent = ("sent", "f8", (max(1, self.room), 6)), ("sent_count", "i4")
+        self.given = np.dtype(
+            [("state", "f8", 16), ("desired", "f8", 6), *sent, ("left", "f8", 6)], align=True
+        )
+        numbers = [("h", "f8", count), ("slack", "f8", count), ("active", "i4", count)]
+        said = [(name, "i4") for name in ("verified", "backup", "violated")]
+        status = ("status", "i4"), ("program_status", "i4", 2)
+        self.found = np.dtype([("control", "f8", 6), *status, *said, *numbers], align=True)
 
     def correct(
         self, x: Tensor, desired: Tensor, sent: Tensor | None = None, left: Tensor | None = None
-    ) -> "FilterResult":
+    ) -> FilterResult:
         """As `SafetyFilter.correct`."""
-        from rta.result import FilterResult
-
-        room = self.columns.latency
-        if sent is not None and len(sent) > room:
-            raise ValueError(f"{len(sent)} controls sent: the C was exported for {room}")
-        answer, _ = self.columns(x, desired, sent, left)
-        return FilterResult(*answer)
+        given, found = (np.zeros(x.shape[1], kind) for kind in (self.given, self.found))
+        given["state"], given["desired"] = x.T.numpy(), desired.T.numpy()
+        given["left"] = 1.0 if left is None else left.T.numpy()
+        if sent is not None:
+            if len(sent) > self.room:
+                raise ValueError(f"{len(sent)} controls sent: the C was exported for {self.room}")
+            younger = sent.isnan().any(1)  # whose first ones are NaN
+            given["sent_count"] = (~younger).sum(0).numpy()
+            for column, count in enumerate(given["sent_count"]):
+                given["sent"][column, :count] = sent[len(sent) - count :, :, column].numpy()
+        at, to = given.ctypes.data, found.ctypes.data
+        for i in range(len(given)):
+            self.call(at + i * self.given.itemsize, to + i * self.found.itemsize)
+        control = torch.from_numpy(found["control"].T.copy())
+        status, both = (
+            torch.from_numpy(found[name].astype(np.int64)) for name in ("status", "program_status")
+        )
+        verified, backup = (torch.from_numpy(found[name] > 0) for name in ("verified", "backup"))
+        h, slack = (torch.from_numpy(found[name].T.copy()) for name in ("h", "slack"))
+        return FilterResult(
+            control=control,
+            intervened=(control != desired).any(0),
+            verified=verified,
+            backup=backup,
+            active=torch.from_numpy(found["active"].T > 0),
+            slack=slack,
+            status=status,
+            program_status=both.T,
+            h=h,
+        )

@@ -9,7 +9,6 @@ from torch import Tensor
 from inspection.model.attitude import unit
 from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
-from rta.qp.batched_solver import STEPS_SAMPLED, BatchedSolver
 from rta.qp.programs import Status
 
 if TYPE_CHECKING:
@@ -84,11 +83,9 @@ def vectors(safety_filter: "SafetyFilter") -> Vectors:
 
 
 def independent(safety_filter: "SafetyFilter") -> "SafetyFilter":
-    """The same filter, uncompiled, whose programs are solved as accurately as by the C."""
-    steps = BatchedSolver(STEPS_SAMPLED) if safety_filter.is_sampled else BatchedSolver()
-    steps.piqp_first = ()
+    """The same filter, uncompiled."""
     f = safety_filter
-    return type(f)(f.c, f.parameters, steps, f.extra, f.uncertainty)
+    return type(f)(f.c, f.parameters, None, f.extra, f.uncertainty)
 
 
 def is_steady(safety_filter: "SafetyFilter", given: list[Tensor], draw: torch.Generator) -> Tensor:

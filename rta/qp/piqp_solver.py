@@ -1,7 +1,6 @@
 """The filter's programs solved one at a time by PIQP (Schwan et al. 2023), a proximal interior-point method."""
 
 import threading
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ import torch
 from numpy import ndarray
 from torch import Tensor
 
+from kernels.control import put
 from rta.qp.programs import FEASIBLE, Problems, Solutions, Status, kkt_residual, least_violating, stages
 
 UNBOUNDED = 1e30  # PIQP's infinity
@@ -34,11 +34,10 @@ class PiqpSolver:
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), ()
 
-    def compile(self, rows: Sequence[int], batch: int, device: torch.device | str) -> None:
-        """Nothing is compiled: PIQP is a library already."""
-
-    def solve(self, problems: Problems) -> Solutions:
+    def solve(self, problems: Problems, wanted: Tensor | None = None) -> Solutions:
         """See `Solver`."""
+        if wanted is not None:
+            return self._solve_some(problems, torch.nonzero(wanted).flatten())
         # batch first: PIQP reads one contiguous program after the other
         desired, a = (
             part.movedim(-1, 0).contiguous().cpu().numpy() for part in (problems.desired, problems.a)
@@ -65,7 +64,9 @@ class PiqpSolver:
             control[solved] = u[kept]
             status[solved] = outcome
             programs = desired[solved].T, a[solved].swapaxes(1, 2).T, side[solved].T
-            residual[solved] = kkt_residual(u[kept].T, multiplier[kept].T, *programs, slack_weight)
+            residual[solved] = kkt_residual(
+                u[kept].T, multiplier[kept].T, *programs, 1.0 / slack_weight[:, None]
+            )
             answers = desired.copy()
             answers[left] = np.where(np.isfinite(u), u, desired[left])
             candidates.append(answers)
@@ -81,6 +82,15 @@ class PiqpSolver:
             torch.from_numpy(status).to(device),
             torch.from_numpy(residual).to(device),
         )
+
+    def _solve_some(self, problems: Problems, columns: Tensor) -> Solutions:
+        """Solves the programs at these indices (M,)."""
+        no = torch.full_like(problems.desired[0], torch.inf)
+        whole = Solutions(torch.zeros_like(problems.desired), torch.zeros_like(no, dtype=torch.int64), no)
+        some = self.solve(problems[columns])
+        for name, part in vars(some).items():
+            put(getattr(whole, name), columns, part)
+        return whole
 
     def _solve_all(
         self, desired: ndarray, a: ndarray, b: ndarray, weight: ndarray

@@ -26,6 +26,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from kernels.control import pick
+
 Array = TypeVar("Array", Tensor, np.ndarray)
 
 FEASIBLE = 1e-7  # largest row violation of an accepted solution, in units of the actuators' limits
@@ -62,7 +64,7 @@ class Problems:
     a: Tensor
     b: Tensor
     b_no_margin: Tensor
-    weight: Tensor
+    weight: Sequence[float]
 
     def __getitem__(self, columns: Tensor) -> "Problems":
         """The programs at these indices (M,)."""
@@ -95,34 +97,20 @@ class Solutions:
 
 def stages(problems: Problems) -> Iterator[tuple[Tensor, Tensor, Status]]:
     """What is tried in turn, until it is feasible: sides b (R, N), slack weights (R,) and what a solution is then."""
-    hard = torch.full_like(problems.weight, torch.inf)
+    hard = problems.desired.new_full((len(problems.weight),), torch.inf)
+    weight = problems.desired.new_tensor(problems.weight)
     yield problems.b, hard, Status.HARD
     yield problems.b_no_margin, hard, Status.HARD
-    for highest in problems.weight[problems.weight.isfinite()].unique():  # in ascending order
-        weight = torch.where(problems.weight <= highest, problems.weight, hard)
-        yield problems.b_no_margin, weight, Status.SLACK
+    for highest in weight[weight.isfinite()].unique():  # in ascending order
+        yield problems.b_no_margin, torch.where(weight <= highest, weight, hard), Status.SLACK
 
 
 class Solver(Protocol):
     """Solves `Problems` by `stages`."""
 
-    def solve(self, problems: Problems) -> Solutions: ...
-
-    def compile(self, rows: Sequence[int], batch: int, device: torch.device | str) -> None:
-        """Compiles what can be, for up to each of these numbers of rows and about so many programs.
-
-        Raises as `Compiled`.
-        """
-
-
-def pick(x: Tensor, columns: Tensor) -> Tensor:
-    """x[..., columns], up to twenty times as fast as index_select along the last dimension."""
-    return x.gather(-1, columns.expand(*x.shape[:-1], -1))
-
-
-def put(x: Tensor, columns: Tensor, values: Tensor) -> None:
-    """x[..., columns] = values, the counterpart of `pick`."""
-    x.scatter_(-1, columns.expand_as(values), values)
+    def solve(self, problems: Problems, wanted: Tensor | None = None) -> Solutions:
+        """Solves programs where they are wanted, (N,) bool, None: all; of the others nothing is said."""
+        ...
 
 
 def total(x: Tensor, dim: int) -> Tensor:
@@ -135,8 +123,9 @@ def least_violating(candidates: Sequence[Tensor], problems: Problems) -> Tensor:
 
     Rows that must hold decide first, by the sum of d_i^2; then the others, by that of w_i d_i^2, their slack's cost.
     """
-    must = problems.weight.isinf()
-    weight = problems.weight.masked_fill(must, 0.0)[:, None]
+    weight = problems.desired.new_tensor(problems.weight)
+    must = weight.isinf()
+    weight = weight.masked_fill(must, 0.0)[:, None]
     best = torch.zeros_like(problems.desired)
     least, least_soft = torch.full_like(best[:2], torch.inf)
     for control in candidates:
@@ -149,7 +138,7 @@ def least_violating(candidates: Sequence[Tensor], problems: Problems) -> Tensor:
     return best
 
 
-def kkt_residual(u: Array, multiplier: Array, desired: Array, a: Array, b: Array, weight: Array) -> Array:
+def kkt_residual(u: Array, multiplier: Array, desired: Array, a: Array, b: Array, relief: Array) -> Array:
     """The largest violation of the optimality conditions of min |u - u_des|^2 / 2 + sum_i w_i delta_i^2 / 2.
 
     With multipliers lambda of the rows, delta_i = lambda_i / w_i and s_i = A_i u + b_i + delta_i, they are
@@ -161,13 +150,13 @@ def kkt_residual(u: Array, multiplier: Array, desired: Array, a: Array, b: Array
 
     Args:
         u, desired: (3, N); multiplier, b: (R, N); a: (R, 3, N). All NumPy's, or all PyTorch's.
-        weight: (R,), infinite for rows without slack.
+        relief: (R, 1) or (R, N), 1 / w_i, zero for rows without slack.
 
     Returns:
         (N,) in units of the actuators' limits; NaN where an argument is.
     """
     xp = torch if isinstance(u, Tensor) else np
-    s = (a * u).sum(1) + b + multiplier / weight[:, None]
-    stationarity = u - (desired + (a * multiplier[:, None]).sum(0)).clip(-1.0, 1.0)
+    s = sum((a * u).swapaxes(0, 1)) + b + multiplier * relief
+    stationarity = u - (desired + sum(a * multiplier[:, None])).clip(-1.0, 1.0)
     complementarity = multiplier.clip(max=1.0) * s
     return xp.amax(xp.concatenate((abs(stationarity), -s, -multiplier, abs(complementarity))), 0)

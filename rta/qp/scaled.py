@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from rta.barrier import ActuatorGroup
-from rta.qp.programs import FEASIBLE, HOPELESS, REDUNDANT, Problems, Status, total
+from rta.qp.programs import FEASIBLE, HOPELESS, REDUNDANT, Status, total
 
 # Below this length (rate of h per actuator limit, in h's unit per s) a row counts as beyond the actuators'
 # influence: it keeps its direction but not its claim to a full unit of slack.
@@ -20,7 +20,7 @@ class ScaledRows(NamedTuple):
     Attributes:
         psi, a, b, b_no_margin, relaxation, h: the fields of `Rows`.
         length: (R, B) of the rows per actuator limit.
-        lowest: (1, B) left-hand side of the scaled rows under the desired control; negative or NaN where it must
+        lowest: (B,) left-hand side of the scaled rows under the desired control; negative or NaN where it must
             be corrected.
     """
 
@@ -49,7 +49,7 @@ def scale_rows(group: ActuatorGroup, x: Tensor, control: Tensor, left: Tensor | 
     a = rows.a * limit
     length = total(a * a, 1).sqrt().clamp(min=SHORTEST_ROW)  # thirty times as fast as Tensor.norm
     within = (total(a * (control[group.controls] / group.limit), 1) + rows.b) / length
-    return ScaledRows(**vars(rows), length=length, lowest=smallest(within)[None])
+    return ScaledRows(**vars(rows), length=length, lowest=smallest(within))
 
 
 def smallest(rows: Tensor) -> Tensor:
@@ -57,20 +57,28 @@ def smallest(rows: Tensor) -> Tensor:
     return reduce(torch.minimum, rows.unbind())
 
 
-def to_qp(group: ActuatorGroup, rows: ScaledRows, desired: Tensor, left: Tensor | None = None) -> Problems:
-    """Returns the programs of scaled rows and of desired controls (3, M) in units of the actuators' limits.
+class Program(NamedTuple):
+    """The programs of a group, as of `Problems`, in units of the actuators' limits."""
+
+    desired: Tensor
+    a: Tensor
+    b: Tensor
+    b_no_margin: Tensor
+
+
+def to_qp(group: ActuatorGroup, rows: ScaledRows, desired: Tensor, left: Tensor | None = None) -> Program:
+    """Returns the programs of scaled rows and of desired controls (3, M) in N or N m.
 
     Args:
         left: (3, M) the share that each of the group's actuators gives; None: all of it.
     """
     limit = group.limit if left is None else group.limit * left
     b, b_no_margin = ((side / rows.length).clamp(HOPELESS, REDUNDANT) for side in (rows.b, rows.b_no_margin))
-    a = rows.a * (limit / rows.length[:, None])
-    return Problems(desired, a, b, b_no_margin, desired.new_tensor(group.weights))
+    return Program(desired / group.limit, rows.a * (limit / rows.length[:, None]), b, b_no_margin)
 
 
 def from_qp(
-    group: ActuatorGroup, asked: Problems, length: Tensor, control: Tensor, status: Tensor
+    group: ActuatorGroup, asked: Program, length: Tensor, control: Tensor, status: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Returns by constraint, (constraints, M), whether a row binds the controls (3, M), and how far one falls short."""
     reached = total(asked.a * control, 1)

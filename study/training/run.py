@@ -20,14 +20,14 @@ from ppo.errors import NonFiniteError, RankLostError
 from ppo.learner import PPO
 from ppo.trainer import Trainer
 from settings import to_toml
-from study.config import EVALUATION_CASES, TEST_CASES, AnyConfig, Config
+from study.config import EVALUATION_CASES, TEST_CASES, Config
 from study.errors import Stopped, as_input_error
-from study.experiment import Experiment, with_solver
+from study.experiment import Experiment
 from study.files import write_json
 from study.flight.evaluation import Episodes, play, report
 from study.flight.figures import episode_figure
 from study.flight.simulation import Recording
-from study.machine import compile_or_explain, resolve_device
+from study.machine import compile_or_explain
 from study.paper import tables
 from study.training.adversary import Adversary
 from study.training.jump_start import JumpStart
@@ -62,7 +62,7 @@ class Run:
     Of many ranks, each has a part of the episodes of one seed, or some of several seeds; the first one writes.
 
     Args:
-        config: settled, see `with_solver_for_a_seed`; directory: where everything is written.
+        config: settled, see `study.experiment.settled`; directory: where everything is written.
         seeds: trained side by side, each with a directory of its own in `directory`; None: the configuration's
             only, in `directory` itself.
 
@@ -391,9 +391,3 @@ def seconds_of(deed: Callable[[], None]) -> float:
     started = time.perf_counter()
     deed()
     return time.perf_counter() - started
-
-
-def with_solver_for_a_seed(config: AnyConfig) -> AnyConfig:
-    """The configuration with the solver settled for one seed, whatever is trained beside it and on how many ranks."""
-    device = resolve_device(config.train.device)
-    return with_solver(config, config.train.num_envs, device)

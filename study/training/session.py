@@ -19,10 +19,11 @@ from study.experiment import (
     check_plant,
     check_weights,
     load_policy,
+    settled,
 )
 from study.files import write_text
 from study.machine import LOCKS, directory_lock, resolve_device, write_settings
-from study.training.run import CHECKPOINT, Run, with_solver_for_a_seed
+from study.training.run import CHECKPOINT, Run
 
 # What a run writes first, in this order; before the last one, there is no run yet.
 BEGUN = ("provenance.json", "config.toml", CHECKPOINT)
@@ -112,7 +113,7 @@ def built(config: Config, directory: Path, init_from: Path | None) -> Run:
     """Makes a fresh run and writes nothing: what can be refused is refused here."""
     check(config)
     check_empty(directory)
-    config = with_solver_for_a_seed(config)
+    config = settled(config)
     if init_from:  # who has learned something needs no jump start
         config = replace(config, train=replace(config.train, jump_start=0))
     return create(config, directory, networks=networks_of(init_from, config) if init_from else {})
@@ -180,9 +181,7 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
     with as_input_error(str(path), KeyError, TypeError, ValueError, AttributeError):
         trained = from_toml(saved["config"], str(path), Config())
         done, rate = int(saved["update"]), trained.ppo.learning_rate
-    config, trained = (
-        with_solver_for_a_seed(each) for each in (config, trained)
-    )  # which older ones may not be
+    config, trained = (settled(each) for each in (config, trained))  # which older ones may not be
     before, total = trained.train, config.train.interactions
     moved = seeds is None and total != before.interactions
     free: dict[str, Any] = (

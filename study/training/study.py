@@ -13,11 +13,12 @@ from rta.constraints.names import CONSTRAINTS
 from settings import InputError, load
 from study.config import TEST_CASES, StudyConfig
 from study.errors import MALFORMED, Stopped, as_input_error
+from study.experiment import settled
 from study.files import read_json, write_json, write_npz
 from study.flight.evaluation import Episodes, report
 from study.machine import LOCKS, directory_lock, write_settings
 from study.paper import Results, tables
-from study.training.run import Run, on_signal, with_solver_for_a_seed
+from study.training.run import Run, on_signal
 from study.training.session import check, create, resume, save_first
 from study.verified import fingerprint, warn_if_unverified
 
@@ -34,7 +35,7 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     """
     for name in config.study.arms:
         check(config.of_arm(name))
-    config = with_solver_for_a_seed(config)
+    config = settled(config)
     with as_input_error(f"--study-dir {directory}: cannot write there", OSError, ValueError):
         ranks().first_does(lambda: directory.mkdir(parents=True, exist_ok=True))
     results = {}
@@ -100,7 +101,7 @@ def overview(results: dict[str, Results]) -> str:
 def begin_or_continue(config: StudyConfig, directory: Path) -> None:
     """Begins a study in its directory; refuses one that holds other things or a study with other settings."""
     before = read_settings(directory)
-    before = before and with_solver_for_a_seed(before)  # which an older one may not be
+    before = before and settled(before)  # which an older one may not be
     if before is None:
         with as_input_error(f"--study-dir {directory}: cannot write there", OSError, ValueError):
             check_directory(directory)
@@ -138,7 +139,7 @@ def first_difference(one: StudyConfig, other: StudyConfig) -> str:
 
 def train_arm(config: StudyConfig, name: str, directory: Path, again: str) -> Run:
     """All seeds of an arm, trained to the end from where they were left; `again` says how to continue."""
-    of_arm = with_solver_for_a_seed(config.of_arm(name))
+    of_arm = settled(config.of_arm(name))
     begun = (directory / "checkpoint.pt").exists()
     run = resume(directory, of_arm, config.seeds) if begun else create(of_arm, directory, config.seeds)
     if not begun:

@@ -39,21 +39,19 @@ int NAME(rest)(void)
 {
     int count = 0;
 #if FLIES
-    static const int none[LIMITS] = {0};
-    double y[16];
+    double x[16];
     double u[6];
     double after[16];
-    double least[LIMITS];
-    int arrived[2] = {0, 0};
-    flown(state, control, y, least);
-    for (int k = 0; (k < FLIGHT_HOLDS) && (count < PLACES) && (arrived[THRUST] == 0); ++k) {
-        memcpy(&way[3 * count], y, 3 * sizeof y[0]);
+    double law[6];
+    int arrived[1] = {0};
+    memcpy(x, state, sizeof x);
+    memcpy(u, control, sizeof u);
+    while ((count < PLACES) && (arrived[0] == 0)) {
+        turn_to_rest(x, u, after, law, arrived);
+        memcpy(&way[3 * count], after, 3 * sizeof after[0]);
+        memcpy(x, after, sizeof x);
+        memcpy(u, law, sizeof u);
         count += 1;
-        have_arrived(y, none, arrived);
-        backup_torque(y, &u[3]);
-        backup_thrust(y, &u[3], u);
-        flown(y, u, after, least);
-        memcpy(y, after, sizeof y);
     }
 #endif
     return count;

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,11 @@ from inspection.termination import failures
 from inspection.world.corners import CORNER, ERRORS, GAINS, Recorded
 from inspection.world.parameters import PlantParameters, bounds
 from inspection.world.plant import Plant
-from kernels.printer import Printed, printed
+from kernels.printer import Printed, if_long, printed
+from rta.backup.attitude_law import slew
+from rta.backup.flight import path
+from rta.backup.motion_law import brake
+from rta.backup.nominal_check import ENDS, NominalBackup
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.printed.files import sources as sources_of_filter
@@ -111,7 +116,8 @@ def named(
     name: str, results: str, run: Callable[..., Sequence[Tensor]], long: int = 0, **given: Tensor
 ) -> Printed:
     """Prints a function of the given tensors, with one column each, whose results have these names."""
-    return printed(run, *given.values(), name=name, names=(list(given), results.split()), long=long)
+    names = list(given), results.split()
+    return printed(run, *given.values(), name=name, names=names, long=long, single=True)
 
 
 def of_flight(safety_filter: SafetyFilter) -> list[Printed]:
@@ -129,6 +135,14 @@ def of_flight(safety_filter: SafetyFilter) -> list[Printed]:
     ]
 
 
+def to_rest(backup: NominalBackup, x: Tensor, u: Tensor) -> list[Tensor]:
+    """Returns the states after a hold of controls (6, B), both laws' controls there, and whether motion has ended."""
+    end = path(x, u, backup.flight)[-1]
+    torque = slew(end, backup.pointing)
+    arrived = (backup.terminal.room(end) >= 0.0)[list(ENDS[0])].all(0)
+    return [end, torch.cat((brake(end, torque, backup.braking), torque)), arrived]
+
+
 def of_filter(safety_filter: SafetyFilter, number: int) -> list[str]:
     """Returns the source of a filter, and of a controller in its rhythm."""
     c, every, (x, u) = safety_filter.c, safety_filter.period, safety_filter.probe("cpu")
@@ -141,12 +155,17 @@ def of_filter(safety_filter: SafetyFilter, number: int) -> list[str]:
         return [natural_motion(c, every, GUIDANCE[PILOT], lambda: score)(0.0, x)]
 
     parts = [named("assistant", "t", assistant, x=x), named("guidance", "u", guidance, x=x, score=u[0])]
+    backup = safety_filter.backup
+    if isinstance(backup, NominalBackup):
+        long = if_long(len(c.planes))
+        parts.append(named("turn_to_rest", "after law arrived", partial(to_rest, backup), long, x=x, u=u))
     given = sources_of_filter(safety_filter, only=("safety_filter.h", "safety_filter.c"))
     return [
         *(f"#define {name} {name}_{number}" for name in ("safety_filter", "safety_filter_names")),
         f"#define NAME(name) name##_{number}",
         given["safety_filter.c"].replace('#include "safety_filter.h"\n', given["safety_filter.h"]),
         for_one(parts),
+        define("FLIES", int(isinstance(backup, NominalBackup))),
         '#include "play.h"',
         by_hand("filter.c"),
     ]

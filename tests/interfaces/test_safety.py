@@ -33,14 +33,14 @@ def actions(*shape):
     return torch.rand(STEPS, *shape, generator=torch.Generator().manual_seed(2)) * 2.4 - 1.2
 
 
-def direct_filter(config, period, solver="piqp"):
-    return SafetyFilter(config.inspection, replace(config.rta, period=period, qp_solver=solver))
+def direct_filter(config, period):
+    return SafetyFilter(config.inspection, replace(config.rta, period=period))
 
 
 def test_every_call_is_reported_as_the_filter_answers_it(c):
     config = Config(inspection=c)
     env = VectorRunTimeAssurance(gymnasium.make_vec(ID, num_envs=EPISODES, config=config), period=5.0)
-    safety_filter, native = direct_filter(config, 5.0, "batched"), env.unwrapped.simulator
+    safety_filter, native = direct_filter(config, 5.0), env.unwrapped.simulator
     env.reset(seed=SEED)
     intervened = []
     for action in actions(EPISODES, 6)[:3]:

@@ -18,7 +18,6 @@ from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.printed.vectors import states
-from rta.qp import batched_solver
 from rta.qp.programs import Status
 from rta.result import FilterResult
 from study import experiment, machine
@@ -85,10 +84,9 @@ def test_what_was_compiled_is_not_compiled_again(cache: Path, monkeypatch: pytes
 
 
 def test_compiled_filter_equals_the_eager_one(
-    random_states: Callable[[int], Tensor], generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
+    random_states: Callable[[int], Tensor], generator: torch.Generator
 ) -> None:
-    monkeypatch.setattr(batched_solver, "PIQP_FIRST", ())  # which leaves up to 2e-8 in programs with slack
-    eager, fast = SafetyFilter(C, RtaParameters(qp_solver="batched")), SafetyFilter(C, RtaParameters())
+    eager, fast = SafetyFilter(C, RtaParameters()), SafetyFilter(C, RtaParameters())
     fast.compile("cpu", 16)
     x = random_states(300)
     x[5, 7] = x[13, 8] = math.nan

@@ -257,6 +257,26 @@ def test_an_axis_may_be_looped_over_in_what_is_called() -> None:
     assert_equal(Compiled(run, ONE)(x), run(x))
 
 
+@pytest.mark.parametrize("rows", [[0, 1, 2], [0, 2, 1], [2, 0, 2], [1]])
+def test_one_column_picks_its_own_entry(rows: list[int]) -> None:
+    """By its address where entries lie evenly apart, else by comparisons."""
+
+    def entry(x: Tensor, at: Tensor) -> Tensor:
+        return x[rows].gather(0, at.long())
+
+    x = torch.tensor([[3.0], [5.0], [7.0]], dtype=torch.float64)
+    one = printed(lambda x, at: [entry(x, at)], x, 0.0 * ONE, name="alone", single=True)
+    assert ("PLACE" in one.text) == (rows == [0, 1, 2])
+    head = "#include <math.h>\n#define TRUNC trunc\ntypedef double real;", build.header("scalar.h")
+    own = "void of(const double *x, const double *at, double *out) { alone(x, at, out); }"
+    text = "\n".join([*head, one.text, own])
+    library = build.library({"alone": text})
+    given, found = (ctypes.c_double * 3)(3.0, 5.0, 7.0), ctypes.c_double()
+    for k, row in enumerate(rows):
+        library.of(given, ctypes.byref(ctypes.c_double(k)), ctypes.byref(found))
+        assert found.value == x[row].item()
+
+
 REFUSED: dict[str, tuple[Function, type[Exception], str]] = {
     "a column's tensor from around": (
         lambda x: loop(lambda y: ([y * x], y[0] > 9.0), [x + 1.0], alive=x[0] > 0.0, most=3),

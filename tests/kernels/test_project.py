@@ -12,10 +12,9 @@ from torch import Tensor
 
 import main
 from inspection.chief.hull import with_hull
-from kernels.printer import printed
+from kernels.printer import Printed, printed
 from rta.filter import SafetyFilter
 from rta.printed import batch
-from rta.printed import source as export
 from settings import load
 from study.config import Config
 
@@ -67,25 +66,27 @@ def calls_of_filter(name: str, monkeypatch: pytest.MonkeyPatch) -> list[Call]:
     """What a filter prints."""
     calls: list[Call] = []
     safety_filter = filter_of(name)
-    planes = safety_filter.c.planes
 
     def spy(function: Callable[..., list[Tensor]], *examples: Tensor, **options: Any) -> Any:
-        options.setdefault("long", len(planes))
         found = printed(function, *examples, **options)
-        calls.append(Call(function, examples, options, found.text))
+        calls.append(Call(function, examples, options, text_of(found)))
         return found
 
     def library(_: dict[str, str]) -> None:
         raise StopError
 
-    for module in (batch, export):
-        monkeypatch.setattr(module, "printed", spy)
+    monkeypatch.setattr(batch, "printed", spy)
     monkeypatch.setattr(batch, "library", library)
     # nothing is printed where an earlier run's recording is found
     monkeypatch.setattr(batch, "remembered", lambda function, *given: function(*given))
     with pytest.raises(StopError):
-        batch.BatchFilter(safety_filter)
+        batch.batch_filter(safety_filter)
     return calls
+
+
+def text_of(found: Printed) -> str:
+    """All of it."""
+    return "\n".join([*found.parts, found.text, found.waiting])
 
 
 def other(example: Tensor) -> Tensor:
@@ -102,4 +103,4 @@ def test_a_filter_is_printed_alike_for_any_example(name: str, monkeypatch: pytes
 def check_prints(calls: list[Call]) -> None:
     assert calls
     for function, examples, options, text in calls:
-        assert text == printed(function, *map(other, examples), **options).text, options
+        assert text == text_of(printed(function, *map(other, examples), **options)), options

@@ -16,7 +16,8 @@ from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from kernels.build import NoCompilerError, compiler
 from rta.filter import SOLVERS, SafetyFilter
 from rta.parameters import RtaParameters
-from rta.qp import batched_solver
+from rta.qp.active_set import ActiveSet
+from rta.qp.piqp_solver import PiqpSolver
 from rta.qp.programs import FEASIBLE, Problems, Status
 from rta.qp.scaled import SHORTEST_ROW
 from rta.result import FilterResult
@@ -140,8 +141,9 @@ def test_what_the_filter_calls_solved_satisfies_every_row_or_the_check(way: str,
 
 def had_slack(safety: SafetyFilter, x: Tensor, desired: Tensor, answer: FilterResult) -> Tensor:
     """(2, B) bool: the programs alone have slack, which the check has taken back."""
-    _, _, proposed = safety.propose(x, desired, safety.solver, None, None)
-    return (proposed.program_status == Status.SLACK) & (answer.program_status < Status.SLACK)
+    _, found = safety.propose(x, desired, None)
+    slack = torch.stack([each.status for each in found]) == Status.SLACK
+    return slack & (answer.program_status < Status.SLACK)
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -156,17 +158,12 @@ def test_every_way_gives_the_same_answer_beyond_several_limits(way: str) -> None
     torch.testing.assert_close(ours.control[:3, 0], corner, rtol=0.0, atol=1e-6)
 
 
-def test_no_state_that_is_finite_is_left_open(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_state_that_is_finite_is_left_open() -> None:
     x, u = golden.states(3000, 0)
     finite = x.isfinite().all(0)
-    in_c = filter_of("C", C)
-    _, unsolved = in_c.compiled(x, u, None, None)  # type: ignore[misc]  # it is compiled
-    assert unsolved == (~finite).sum() > 100
-    batched = SafetyFilter(C, RtaParameters(qp_solver="batched"))
-    monkeypatch.setattr(batched_solver, "PIQP_FIRST", ())
-    monkeypatch.setattr(batched.solver.fallback, "solve", lambda problems: pytest.fail("PIQP was asked"))
-    answer = batched.propose(x[:, finite], u[:, finite], batched.solver, None, None)[2]
-    assert (answer.program_status < Status.UNSOLVED).all()
+    assert (filter_of("C", C).correct(x, u).status == Status.UNSOLVED).sum() == (~finite).sum() > 100
+    _, found = filter_of("batched", C).propose(x[:, finite], u[:, finite], None)
+    assert all((each.status < Status.UNSOLVED).all() for each in found)
 
 
 # Beyond several limits; the first row, which must hold, asks for a corner of the bounds, so that there is no interior.
@@ -186,14 +183,16 @@ WITHOUT_INTERIOR = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SOLVERS)
-def test_a_program_without_an_interior_is_solved(name: str) -> None:
+def test_a_program_without_an_interior_is_solved() -> None:
+    """Along which PIQP would find its way: it says that it does not."""
     table = torch.tensor(WITHOUT_INTERIOR, dtype=torch.float64)
     desired = torch.tensor(
         [[-6.318003975758726], [-4.388510483327086], [-5.022443459685187]], dtype=torch.float64
     )
-    a, weight, b, b_no_margin = table[:, :3, None], table[:, 3], table[:, 4:5], table[:, 5:]
-    answer = SOLVERS[name]().solve(Problems(desired, a, b, b_no_margin, weight))
+    a, weight, b, b_no_margin = table[:, :3, None], table[:, 3].tolist(), table[:, 4:5], table[:, 5:]
+    problems = Problems(desired, a, b, b_no_margin, weight)
+    answer = ActiveSet().solve(problems)
     assert answer.status == Status.SLACK
     corner = torch.tensor([[1.0], [-1.0], [1.0]], dtype=torch.float64)
     torch.testing.assert_close(answer.control, corner, rtol=0.0, atol=1e-6)
+    assert PiqpSolver().solve(problems).status == Status.UNSOLVED

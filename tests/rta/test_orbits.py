@@ -15,7 +15,6 @@ from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.lie_derivatives import lie_derivative
 from rta.parameters import RtaParameters
-from rta.qp.batched_solver import BatchedSolver
 from study.verification.adversaries import adversarial
 from study.verification.starts import safe_set
 from tests.inspection.model.test_orbit import flown
@@ -72,7 +71,7 @@ def test_every_h_changes_as_its_lie_derivative_says(c: InspectionParameters, ran
 def test_nothing_is_violated_where_the_world_is_the_model(
     c: InspectionParameters, uncertainty: Uncertainty
 ) -> None:
-    safety = SafetyFilter(c, RtaParameters(), BatchedSolver(), uncertainty=uncertainty)
+    safety = SafetyFilter(c, RtaParameters(), uncertainty=uncertainty)
     x, _, _ = safe_set(48, 1, safety)
     adversary, random = adversarial(safety), torch.Generator().manual_seed(0)
     limit = x.new_tensor(c.control_limit)[:, None]

@@ -9,7 +9,8 @@ from inspection.model.parameters import InspectionParameters
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, QP_SOLVERS, RtaParameters
-from rta.qp.batched_solver import BatchedSolver, PiqpThenSteps
+from rta.qp.active_set import ActiveSet
+from rta.qp.piqp_solver import PiqpSolver
 from tests.oracles import paper, states, tensor
 
 C = InspectionParameters()
@@ -51,8 +52,8 @@ def test_passive_safety_segments_must_end_at_the_horizon() -> None:
 
 def test_the_solver_is_the_one_that_is_named() -> None:
     solvers = [type(SafetyFilter(C, RtaParameters(qp_solver=name)).solver) for name in QP_SOLVERS]
-    assert solvers == [PiqpThenSteps, PiqpThenSteps, BatchedSolver]
-    given = BatchedSolver()
+    assert solvers == [ActiveSet, PiqpSolver, ActiveSet]
+    given = ActiveSet()
     assert SafetyFilter(C, RtaParameters(qp_solver="piqp"), given).solver is given
 
 
@@ -73,4 +74,3 @@ def test_rows_are_sampled_where_they_are_and_not_where_a_control_is_held(
     safety = SafetyFilter(C, RtaParameters(period=period, rows=rows))
     assert (safety.is_sampled, safety.is_held) == (is_sampled, is_held)
     assert safety.safety().takes_plant_data == is_held
-    assert type(safety.solver) is (BatchedSolver if is_sampled else PiqpThenSteps)

@@ -61,13 +61,15 @@ def test_rows_are_the_papers_at_1_s_without_bounds_unless_others_are_asked_for(
 def test_without_rows_the_check_alone_changes_what_is_within_the_limits() -> None:
     f = SafetyFilter(C, RtaParameters(rows="none"))
     x, u = tensor(near_the_limits(400, seed=5)), 1.2 * commands(400, seed=5)
-    _, _, proposed = f.propose(x, u, f.solver, None, None)
-    assert torch.equal(proposed.control, u.clamp(-LIMIT, LIMIT))
+    control, found = f.propose(x, u, None)
+    assert torch.equal(control, u.clamp(-LIMIT, LIMIT))
     clipped = torch.stack([(u.abs() > LIMIT)[part].any(0) for part in (THRUST, slice(3, 6))])
-    assert torch.equal(proposed.program_status, torch.where(clipped, Status.HARD, Status.UNTOUCHED))
-    assert not proposed.active.any() and not proposed.slack.any()
+    assert torch.equal(
+        torch.stack([each.status for each in found]), torch.where(clipped, Status.HARD, Status.UNTOUCHED)
+    )
+    assert not any(each.active.any() or each.slack.any() for each in found)
     answer = f.correct(x, u)
-    changed = (answer.control != proposed.control).any(0)
+    changed = (answer.control != control).any(0)
     assert torch.equal(changed | answer.backup, answer.backup) and 30 < changed.sum() < 400
     assert (answer.status[answer.backup] == Status.HARD).all() and answer.verified.sum() > 100
 

@@ -8,12 +8,11 @@ import torch
 from inspection.environment import InspectionEnv
 from inspection.model.state import SIZE, THRUST, E, P, Q, V
 from settings import override
-from study import experiment, machine
+from study import machine
 from study.config import Config
-from study.experiment import Experiment, paper_task, with_correction_price
+from study.experiment import Experiment, paper_task, settled, with_correction_price
 from study.flight import evaluation
 from study.flight.controllers import untrained
-from study.training.run import with_solver_for_a_seed
 
 HULL = {"mesh": "configs/chiefs/box.npz", "collision": "hull"}
 
@@ -96,16 +95,11 @@ def test_the_guidance_is_flown_in_the_default_task_without_the_filter_and_with_w
     assert [each.generator.initial_seed() for each in env.starts] == [5]
 
 
-@pytest.mark.parametrize("is_compiled", [False, True])
-@pytest.mark.parametrize("compile", ["auto", "on", "off"])
-@pytest.mark.parametrize("batch", [1, 31, 32, 512])
-def test_training_and_evaluation_of_as_many_choose_the_same_solver(
-    compile: str, batch: int, is_compiled: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(experiment, "wants_compile", lambda *_: is_compiled)
-    monkeypatch.setattr(experiment, "compile_or_explain", lambda *_: True)
-    train = {"num_envs": batch, "compile": compile, "device": "cpu"}
-    config = override(Config(), {"train": train}, "test")
-    trained = with_solver_for_a_seed(config).rta.qp_solver
-    assert trained == Experiment(config, batch).config.rta.qp_solver
-    assert trained == ("piqp" if compile == "off" and batch < 32 else "batched")
+@pytest.mark.parametrize(("filter_", "solver"), [("paper", "piqp"), ("checked", "batched")])
+def test_the_solver_depends_on_the_filter_alone(filter_: str, solver: str) -> None:
+    for compile_, batch in (("auto", 1), ("off", 1), ("off", 512)):
+        tables = {"train": {"num_envs": batch, "compile": compile_}, "rta": {"filter": filter_}}
+        config = override(Config(), tables, "test")
+        assert settled(config).rta.qp_solver == Experiment(config, batch).config.rta.qp_solver == solver
+    named = override(Config(), {"rta": {"qp_solver": "piqp"}}, "test")
+    assert settled(named).rta.qp_solver == "piqp"

@@ -15,11 +15,10 @@ from rta.parameters import PERIODS, RtaParameters
 from rta.qp.programs import Status
 from settings import InputError, override
 from study.config import Config, StudyConfig
-from study.experiment import Experiment, checked_filter, filter_of, with_solver
+from study.experiment import Experiment, checked_filter, filter_of, settled
 from study.flight.evaluation import play_controller, report
 from study.flight.offline_filter import filter_states
 from study.machine import finds_compiler
-from study.training.run import with_solver_for_a_seed
 from study.verification.starts import holdable, initial_states
 from study.verified import unchecked, why_unverified
 from tests.rta.test_paper import drawn
@@ -34,7 +33,7 @@ def test_a_configuration_gets_the_filter_that_it_asks_for() -> None:
     paper = filter_of(made(rta={"period": 5.0}))
     assert isinstance(paper, FlownPaperFilter) and paper.period == 5.0
     assert isinstance(filter_of(Config()), SafetyFilter)
-    config = with_solver(made(), 4096, torch.device("cpu"))
+    config = settled(made())
     assert config.rta.qp_solver == "piqp"
     experiment = Experiment(made(), 2, seconds=1.0)
     assert experiment.safety.names == experiment.filter.names and experiment.safety.correct is not None
@@ -72,8 +71,8 @@ def test_an_arm_behind_another_filter_has_a_solver_of_its_own() -> None:
         },
         "test",
     )
-    settled = with_solver_for_a_seed(study)
-    solvers = [with_solver_for_a_seed(settled.of_arm(name)).rta.qp_solver for name in ("rta", "paper")]
+    whole = settled(study)
+    solvers = [settled(whole.of_arm(name)).rta.qp_solver for name in ("rta", "paper")]
     assert solvers == ["batched", "piqp"]
 
 

@@ -21,7 +21,6 @@ struct safety_filter_output {
                                          trajectory; 0: no such one is known, or there is no check */
     int backup;                       /* 1: the check refused the programs' solution, and control is nearer to the backup law's */
     int violated;                     /* 1: a limit is broken already, some h is negative, whatever the status */
-    safety_filter_real residual[2];   /* of the optimality conditions of a program whose solution is applied, else 0 */
     safety_filter_real h[SAFETY_FILTER_CONSTRAINTS];     /* values of the constraints: negative is a violation */
     safety_filter_real slack[SAFETY_FILTER_CONSTRAINTS]; /* by how much a condition is not met, a rate; 0 where it is */
     int active[SAFETY_FILTER_CONSTRAINTS];               /* 1: the constraint determines the corrected control */

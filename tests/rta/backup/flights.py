@@ -10,7 +10,6 @@ from torch import Tensor
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, TORQUE, E, P, T, V
 from kernels.compiled import Compiled
-from rta.backup.flight import CELLS
 from rta.backup.nominal_check import NominalBackup
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
@@ -57,9 +56,10 @@ def in_c(name: str, hold: float, saturates: bool = True) -> Compiled:
 
     def flown(x: Tensor) -> list[Tensor]:
         u = b.law(x)
-        return [*b.hold(x, u), u, b.at_once(x), b.terminal.room(x)]
+        yes = torch.ones_like(x[0], dtype=torch.bool)
+        return [*b.hold(x, u, yes), u, b.at_once(x), b.terminal.room(x)]
 
-    return Compiled(flown, torch.ones(SIZE, 1, dtype=torch.float64), long=CELLS[0])
+    return Compiled(flown, torch.ones(SIZE, 1, dtype=torch.float64))
 
 
 def random(size: int, count: int, seed: int) -> Tensor:

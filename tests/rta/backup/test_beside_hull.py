@@ -17,7 +17,7 @@ from rta.backup.intersample_bounds import FreeFlight, Strays, between
 from rta.backup.nominal_check import KEPT, LIMITS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from rta.printed.batch import Flights
+from rta.printed.batch import flights
 from tests.inspection.chief.test_hull import MESHES, corners, distance, hull_of, some_positions
 from tests.oracles import attitude, free_flight, hypercube, length, moved, tensor
 from tests.oracles import motion as beside_sphere
@@ -99,6 +99,12 @@ def test_what_lies_beyond_all_of_it_is_above_a_plane(mesh: str) -> None:
     assert farthest(C) == C.collision_radius
 
 
+def flown(safety: SafetyFilter, x: Tensor) -> Tensor:
+    """`NominalBackup.fly` in C, of all limits."""
+    none = torch.zeros(LIMITS, x.shape[1], dtype=torch.bool)
+    return flights(safety)(x, none, ~none[:2])[0]
+
+
 @pytest.mark.campaign
 @HOLDS
 @EACH
@@ -109,7 +115,7 @@ def test_flights_that_are_accepted_keep_every_limit_and_end(mesh: str, hold: flo
     b, x = safety.backup, nearby(700, 6, c)
     assert b is not None
     x = x[:, torch.from_numpy(inside(x, c))]
-    found = Flights(safety)(x, torch.zeros(LIMITS, x.shape[1], dtype=torch.bool)).all(0)
+    found = flown(safety, x).all(0)
     assert found.double().mean() > 0.85
     law = Compiled(
         lambda x: [b.law(x), b.at_once(x)], torch.ones(SIZE, 1, dtype=torch.float64), long=len(c.planes)
@@ -125,7 +131,7 @@ def test_flights_that_are_accepted_keep_every_limit_and_end(mesh: str, hold: flo
             assert (least > -ROUNDING).all(), (call, i, least.min(1))
             x = moved(x, u, 1.0, c)
     assert (b.terminal.room(x) >= 0.0).all()
-    assert Flights(safety)(x, torch.zeros(LIMITS, x.shape[1], dtype=torch.bool)).all()
+    assert flown(safety, x).all()
 
 
 @pytest.mark.parametrize("calls", [4, pytest.param(30, marks=pytest.mark.campaign)])
@@ -136,9 +142,7 @@ def test_pushed_at_the_hull_it_stays_clear_whatever_the_body_does(calls: int) ->
     safety.compile("cpu", 64)
     x = nearby(200, 8, c)
     x = x[:, safety.is_safe(x)][:, :64]
-    one, other = (
-        f(x, limits(c) * random(CONTROL_SIZE, 64, 9), None, None) for f in (safety.correct, safety._correct)
-    )
+    one, other = (f(x, limits(c) * random(CONTROL_SIZE, 64, 9)) for f in (safety.correct, safety.answer))
     torch.testing.assert_close(one.control, other.control, rtol=0, atol=1e-9)
     assert torch.equal(one.verified, other.verified) and one.verified.all()
     nearest, backup = np.inf, safety.backup

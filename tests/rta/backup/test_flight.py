@@ -48,7 +48,8 @@ def test_a_hold_ends_where_the_plant_does(name: str, period: float, saturates: b
     expected = x
     for _ in range(round(period / seconds)):
         expected = step(expected, u, seconds, c)
-    assert torch.equal(hold(x, u, w)[0], expected)
+    yes = torch.ones(COUNT, dtype=torch.bool)
+    assert torch.equal(hold(x, u, yes, w)[0], expected)
 
 
 @EACH
@@ -57,7 +58,8 @@ def test_no_limit_is_below_its_least_in_a_hold(name: str, period: float, saturat
     x = everywhere(COUNT, 5, c)
     x[OMEGA, ::3] = c.max_rate * random(3, COUNT, 7).sign()[:, ::3]  # full torque may be held at the limit
     u = controls(x, period, c)
-    bounds, least = hold(x, u, w)[1].numpy(), least_between(x, u, period, c, spacing=5.0, look=0.1)
+    yes = torch.ones(COUNT, dtype=torch.bool)
+    bounds, least = hold(x, u, yes, w)[1].numpy(), least_between(x, u, period, c, spacing=5.0, look=0.1)
     rows = 10 if saturates else 11
     assert np.isinf(bounds[rows:]).all()
     below = bounds[:rows] - least[:rows]

@@ -5,7 +5,6 @@ not; from states all over the safe set, from starts that are far out and fast, a
 """
 
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 import torch
@@ -14,7 +13,7 @@ from torch import Tensor
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import THRUST, TORQUE
 from rta.filter import SafetyFilter
-from rta.qp.batched_solver import BatchedSolver
+from rta.printed.loaded import InC
 from rta.result import FilterResult
 from tests.oracles import moved
 from tests.rta.backup.flights import (
@@ -29,7 +28,6 @@ from tests.rta.backup.flights import (
     safety,
     vehicle,
 )
-from tests.rta.printed.test_driver import Driver
 
 SHORT = ("paper", 10.0, True)
 LONG = [pytest.param(*case, marks=pytest.mark.campaign) for case in CASES]
@@ -113,12 +111,10 @@ def test_whatever_is_proposed_all_stays_verified_in_pytorch(
 
 @pytest.mark.parametrize(("name", "period", "saturates"), [LONG[0], LONG[1], LONG[4]])
 def test_whatever_is_proposed_all_stays_verified_in_the_exported_c(
-    name: str, period: float, saturates: bool, tmp_path: Path
+    name: str, period: float, saturates: bool
 ) -> None:
     c, own = vehicle(name, saturates), safety(name, period, saturates)
-    driver = Driver(SafetyFilter(c, own.parameters, BatchedSolver()), tmp_path)
+    exported = InC(SafetyFilter(c, own.parameters))
     x = starts(name, period, saturates, 24, 3)
-    changed = fly(
-        lambda y, u: driver(y, u, None, None), x, proposals(name, period, saturates), c, period, 120.0
-    )
+    changed = fly(exported.correct, x, proposals(name, period, saturates), c, period, 120.0)
     assert changed > 20

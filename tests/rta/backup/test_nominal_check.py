@@ -9,7 +9,7 @@ from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE, P, V
-from rta.backup.commit import LIMITS, SHARES, nearest
+from rta.backup.commit import LIMITS, SHARES
 from rta.backup.motion_law import field
 from rta.backup.nominal_check import NominalBackup
 from rta.backup.robust_check import RobustBackup
@@ -110,7 +110,7 @@ def test_the_compiled_check_equals_pytorch(filters: dict[float, SafetyFilter], h
     safety = filters[hold]
     x, desired = hypercube(500, 5, C), demands(500, 6)
     x[:, ::2] = starts(safety, 250, 7)
-    one, other = safety.correct(x, desired), safety._correct(x, desired, None, None)
+    one, other = safety.correct(x, desired), safety.answer(x, desired)
     torch.testing.assert_close(one.control, other.control, rtol=0, atol=1e-9)
     assert torch.equal(one.verified, other.verified) and torch.equal(one.backup, other.backup)
     assert torch.equal(one.intervened, other.intervened)
@@ -126,7 +126,7 @@ def test_trajectories_that_fail_later_are_found_by_the_compiled_check_too(
     safety = filters[1.0]
     x = torch.cat((near_the_zone(2000, 3), hypercube(2000, 3, C), at_the_chief(2000, 3)), 1)
     desired = adversarial(safety)(0.0, x)
-    one, other = safety.correct(x, desired), safety._correct(x, desired, None, None)
+    one, other = safety.correct(x, desired), safety.answer(x, desired)
     assert torch.equal(one.verified, other.verified) and torch.equal(one.backup, other.backup)
     assert torch.equal(one.intervened, other.intervened)
     torch.testing.assert_close(one.control, other.control, rtol=0, atol=1e-9)
@@ -143,8 +143,8 @@ def test_flights_in_c_keep_the_limits_that_flights_in_pytorch_keep(
     x[P, ::2] *= (C.collision_radius + 8.0 * torch.rand(750, dtype=torch.float64)) / x[P, ::2].norm(dim=0)
     x[V, ::2] = field(x[P, ::2], C) + 0.5 * CALM * unit(x[V, ::2])
     broken = torch.zeros(LIMITS, x.shape[1], dtype=torch.bool)
-    found = backup.flights(x, broken, (0, 1))
-    assert torch.equal(found, backup.fly(x, broken))
+    found = backup.flights(x, broken, ~broken[:2])[0]
+    assert torch.equal(found, backup.fly(x, broken, ~broken[:2]))
     assert (found.any(1) & ~found.all(1)).all()
 
 
@@ -157,7 +157,7 @@ def test_what_replaces_a_control_is_the_first_safe_share_of_the_way_to_the_law(h
     none = torch.zeros(LIMITS, x.shape[1], dtype=torch.bool)
     control, safe, changed = backup.committed(x, u, none, ~none[:2])
     assert safe.all()
-    assert torch.equal(changed[1], ~backup.is_safe(x, u, none)[1]) and changed.sum() > 5
+    assert torch.equal(changed[1], ~backup.is_safe(x, u, none, ~none[:2])[1]) and changed.sum() > 5
     with_torque = torch.cat((u[THRUST], control[TORQUE]))
     torque, shares = backup.torque(x), set()
     laws = torch.cat((backup.thrust(x, control[TORQUE]), torque))
@@ -175,7 +175,8 @@ def test_what_replaces_a_control_is_the_first_safe_share_of_the_way_to_the_law(h
         for less in SHARES:  # that are smaller are not safe
             tried, smaller = before.clone(), less < share - 1e-6
             tried[own] += less * way
-            found = backup.is_safe(there[:, smaller], tried[:, smaller], none[:, : int(smaller.sum())])
+            no = none[:, : int(smaller.sum())]
+            found = backup.is_safe(there[:, smaller], tried[:, smaller], no, ~no[:2])
             assert not found[group].any()
     assert shares <= {*SHARES, 1.0} and len(shares) > 1, shares
 
@@ -183,15 +184,20 @@ def test_what_replaces_a_control_is_the_first_safe_share_of_the_way_to_the_law(h
 @pytest.mark.parametrize("safe", [0.0, 0.5, 1.0])
 def test_what_actuators_give_is_tried_and_applied(safe: float) -> None:
     """Of controls of which all, those near the law's, or none are refused."""
-    u, law = torch.full((6, 4), 0.91, dtype=torch.float64), torch.full((3, 4), -0.32, dtype=torch.float64)
 
-    def is_safe(at: Tensor, tried: Tensor) -> Tensor:
-        assert torch.equal(tried[THRUST], tried[THRUST].mul(2).round() / 2) and len(at) == tried.shape[1]
-        return tried[0] < 2.0 * safe - 1.0
+    class Halves(NominalBackup):
+        def quantised(self, u: Tensor) -> Tensor:
+            return torch.cat((u[THRUST].mul(2).round() / 2, u[TORQUE]))
 
-    control, found = nearest(
-        u, THRUST, law, is_safe, lambda u: torch.cat((u[THRUST].mul(2).round() / 2, u[TORQUE]))
-    )
+        def thrust(self, x: Tensor, torque: Tensor) -> Tensor:
+            return torch.full_like(torque, -0.32)
+
+        def is_safe(self, x: Tensor, u: Tensor, broken: Tensor, asked: Tensor) -> Tensor:
+            assert torch.equal(u, self.quantised(u))
+            return (u[0] < 2.0 * safe - 1.0).repeat(2, 1)
+
+    u, x = torch.full((6, 4), 0.91, dtype=torch.float64), torch.zeros(16, 4, dtype=torch.float64)
+    control, found = Halves(C, 1.0).nearest(x, u, torch.zeros(LIMITS, 4, dtype=torch.bool), 0)
     assert found.all() == (safe > 0.0)
     assert (control[THRUST] == {0.0: -0.5, 0.5: -0.5, 1.0: 0.5}[safe]).all() and (
         control[TORQUE] == 0.91
@@ -228,7 +234,7 @@ def test_a_limit_that_is_broken_leaves_the_others_checked(hold: float, much: boo
     assert backup and (h[row] < 0.0).all()
     broken[row] = True
     x = x[
-        :, ((h >= 0.0).sum(0) == 12) & backup.has_trajectories(x, broken).all(0)
+        :, ((h >= 0.0).sum(0) == 12) & backup.flown(x, broken, ~broken[:2] | broken[:2]).all(0)
     ]  # the laws keep all others
     assert x.shape[1] > 10
     others = [k for k in range(11) if k != row]

@@ -183,7 +183,10 @@ def test_a_hold_of_the_law_ends_where_the_form_says_but_for_the_bounds(name: str
         return a, hold * (x[OMEGA] + c.mean_motion * rotation_matrix(x[Q])[2])
 
     x, z = inside(name, hold, True, 300, 7), b.pointing.kappa * hold
-    (a, turn), (a_after, turn_after) = coordinates(x), coordinates(b.hold(x, b.law(x))[0])
+    (a, turn), (a_after, turn_after) = (
+        coordinates(x),
+        coordinates(b.hold(x, b.law(x), torch.ones_like(x[0], dtype=torch.bool))[0]),
+    )
     of_a = (a_after - (1 - z / 2) * a + turn / 2).norm(dim=0)
     of_turn = (turn_after - z * a).norm(dim=0)
     angle = a.norm(dim=0).asin()

@@ -12,7 +12,7 @@ from inspection.model.dynamics import Body
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, THRUST, TORQUE, P, V
 from inspection.world.corners import displaced
-from rta.backup.commit import LIMITS
+from rta.backup.commit import LIMITS, only
 from rta.backup.robust_check import RobustBackup
 from rta.backup.robust_terminal_set import RobustTerminalSet, thrust
 from rta.bounds.prediction import predicted
@@ -182,4 +182,5 @@ def committed(
 
 def is_safe(check: RobustBackup, group: int, y: Tensor, u: Tensor) -> Tensor:
     """(B,) bool: a group of controls (6, B) is."""
-    return check.is_safe(y, u, torch.zeros_like(y[:LIMITS], dtype=torch.bool), (group,))[group]
+    none = torch.zeros_like(y[:LIMITS], dtype=torch.bool)
+    return check.is_safe(y, u, none, only(group, none))[group]

@@ -14,7 +14,6 @@ from inspection.model.state import P, Q, V
 from rta.constraints.thrust import passive_safety
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from rta.qp.batched_solver import BatchedSolver
 from study.verification.adversaries import adversarial
 from tests.inspection.chief.test_hull import MESHES, corners, distance, hull_of, some_positions
 
@@ -85,7 +84,7 @@ def test_a_slow_flight_that_is_turned_stays_clear_of_the_next_corner() -> None:
     Found by adversaries that start near the hull.
     """
     c = with_hull(PAPER, hull_of(MESHES[0]))
-    safety = SafetyFilter(c, R, BatchedSolver())
+    safety = SafetyFilter(c, R)
     x = torch.zeros(16, 1, dtype=torch.float64)
     x[P, 0] = torch.tensor([-3.78524, -1.05287, -7.57457]).double()
     x[V, 0] = torch.tensor([-0.149214, 0.0271352, 0.0811173]).double()

@@ -13,7 +13,6 @@ from inspection.model.parameters import InspectionParameters
 from rta.constraints.vehicle import PAPER, check, scaled, time_to_stop, time_to_turn
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from rta.qp.batched_solver import BatchedSolver
 from settings import load
 from study.config import Config
 from study.verification.adversaries import adversarial, held_at_random
@@ -99,7 +98,7 @@ def test_a_vehicle_that_cannot_hold_a_limit_is_refused_with_the_number(
 @torch.no_grad()
 def test_shipped_vehicles_violate_nothing(path: Path) -> None:
     c: InspectionParameters = load(path, Config()).inspection
-    safety = SafetyFilter(c, R, BatchedSolver())
+    safety = SafetyFilter(c, R)
     safety.compile("cpu", 64)
     x, _, _ = initial_states(64, 3, safety)
     random, adversary = held_at_random(c, torch.Generator().manual_seed(0), 64), adversarial(safety)

@@ -188,14 +188,11 @@ def test_its_own_test_and_its_example_pass(
 
 
 FLAWS = {
-    "a weight": ("{INFINITY, 1000.0,", "{INFINITY, 1.0,"),
-    "a sign": ("sum += a[i] * b[i];", "sum -= a[i] * b[i];"),
-    "the stages": ("(i < 2) ? HARD : SLACK", "(i < 1) ? HARD : SLACK"),
-    "what is no number": ("isinf(in->state[i]) ? NAN", "isinf(in->state[i]) ? 0.0"),
-    "the limits": (
-        "control[j] = clip(projected[j], -LIMIT[group], LIMIT[group]);",
-        "control[j] = projected[j];",
-    ),
+    "a weight": ("ALL(1000.0), ALL(1000.0)", "ALL(1.0), ALL(1.0)"),
+    "a sign": ("(((a) < (b)) || ((a) != (a)))", "(((a) > (b)) || ((a) != (a)))"),
+    "the stages": ("k < 5 && ", "k < 2 && "),
+    "what is no number": ("== INFINITY", "== 3.0"),
+    "the limits": ("#define MIN_LITERAL(a, b) (((b) < (a)) ? (b) : (a))", "#define MIN_LITERAL(a, b) (a)"),
 }
 
 

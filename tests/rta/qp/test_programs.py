@@ -234,7 +234,9 @@ def kkt_residual(
         torch.tensor(x, dtype=torch.float64) for x in (u, multiplier, desired, rows, weight)
     )
     a, b = table[:, :3, None], table[:, 3:]
-    return qp.kkt_residual(u[:, None], multiplier[:, None], desired[:, None], a, b, weight).item()
+    return qp.kkt_residual(
+        u[:, None], multiplier[:, None], desired[:, None], a, b, 1.0 / weight[:, None]
+    ).item()
 
 
 @pytest.mark.parametrize(("u", "multiplier", "expected"), RESIDUALS.values(), ids=RESIDUALS)

@@ -14,7 +14,7 @@ from inspection.orbits import GUIDANCE, Orbit
 from settings import from_toml
 from study.config import Config
 from study.errors import Stopped
-from study.experiment import Experiment
+from study.experiment import Experiment, settled
 from study.experiment import test_cases as common_cases
 from study.training import jump_start, session
 from study.training.run import Run
@@ -104,7 +104,7 @@ def test_what_is_flown_counts_as_interactions_and_ppo_does_the_rest(run: session
 
 @pytest.mark.campaign
 def test_seeds_side_by_side_are_taught_what_each_is_alone(tmp_path: Path) -> None:
-    short = session.with_solver_for_a_seed(config(jump_start=8192))
+    short = settled(config(jump_start=8192))
     both = taught(created(short, tmp_path / "both", [3, 4]))
     alone = taught(created(replace(short, train=replace(short.train, seed=4)), tmp_path / "alone"))
     for name, weight in alone.policy.state_dict().items():
@@ -140,7 +140,7 @@ SHORT = {"jump_start": 4 * 512, "interactions": 6 * 512, "num_envs": 128, "rollo
 )
 def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> session.Run:
     """A short run that nothing interrupted."""
-    short = session.with_solver_for_a_seed(config(**SHORT))
+    short = settled(config(**SHORT))
     run = created(short, tmp_path_factory.mktemp("whole") / "run", request.param)
     run.train()
     return run

@@ -1,4 +1,4 @@
-"""The batched solver against PIQP on recorded problems, enumeration, linear programs and optimality conditions.
+"""The active-set method against enumeration, linear programs and optimality conditions, in PyTorch and in C.
 
 Cases that both solvers must pass stand in tests/rta/qp/test_programs.py.
 """
@@ -6,8 +6,6 @@ Cases that both solvers must pass stand in tests/rta/qp/test_programs.py.
 import dataclasses
 import math
 from collections.abc import Callable
-from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,35 +14,15 @@ from numpy import ndarray
 from scipy.optimize import nnls
 from torch import Tensor
 
-from rta.qp import batched_solver
-from rta.qp.batched_solver import ACCURATE, BatchedSolver, attempt
+from kernels import compiled
+from rta.qp import active_set
+from rta.qp.active_set import ACCURATE, ActiveSet
 from rta.qp.piqp_solver import PiqpSolver
-from rta.qp.programs import Problems, Solutions, Status
+from rta.qp.programs import Problems, Solutions, Solver, Status, least_violating
 from tests.oracles import Problems as Arrays
 from tests.oracles import feasible, given_slack, projection, tensor, with_slack
 
 FIELDS = ("desired", "a", "b", "b_no_margin")
-
-
-@pytest.fixture(autouse=True)
-def steps_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Takes the steps for every program, as on a GPU, and leaves PIQP only what they do not solve accurately."""
-    monkeypatch.setattr(batched_solver, "PIQP_FIRST", ())
-
-
-@pytest.fixture
-def solver(monkeypatch: pytest.MonkeyPatch) -> BatchedSolver:
-    """Counts in `resolved` how many problems PIQP solves again."""
-    solver = BatchedSolver()
-    solve = solver.fallback.solve
-    solver.resolved = 0
-
-    def counting(problems: Problems) -> Solutions:
-        solver.resolved += problems.desired.shape[1]
-        return solve(problems)
-
-    monkeypatch.setattr(solver.fallback, "solve", counting)
-    return solver
 
 
 def left_hand_sides(u: Tensor, a: Tensor, b: Tensor) -> Tensor:
@@ -55,12 +33,12 @@ def left_hand_sides(u: Tensor, a: Tensor, b: Tensor) -> Tensor:
 def arrays(problems: Problems) -> Arrays:
     """Batch first."""
     return Arrays(
-        *(getattr(problems, name).movedim(-1, 0).numpy() for name in FIELDS), problems.weight.numpy()
+        *(getattr(problems, name).movedim(-1, 0).numpy() for name in FIELDS), np.array(problems.weight)
     )
 
 
 def assert_faulty_program_leaves_its_neighbours_alone(
-    solver: BatchedSolver, problems: Problems, field: str, value: float
+    solver: Solver, problems: Problems, field: str, value: float
 ) -> None:
     faulty = dataclasses.replace(problems, **{field: getattr(problems, field).clone()})
     getattr(faulty, field)[-1, ..., 17] = value
@@ -79,27 +57,31 @@ def assert_faulty_program_leaves_its_neighbours_alone(
 @pytest.mark.parametrize("field", FIELDS)
 def test_faulty_program_leaves_its_neighbours_alone(field: str, value: float) -> None:
     sample = synthetic(100, 11, seed=7)
-    assert_faulty_program_leaves_its_neighbours_alone(BatchedSolver(), sample, field, value)
+    assert_faulty_program_leaves_its_neighbours_alone(ActiveSet(), sample, field, value)
 
 
-@pytest.mark.parametrize(
-    "limit",
-    [{"steps": 0, "MAX_ROUNDS": 1, "ROUND": 1}, {"ACCURATE": -1.0}, {"steps": 0, "PIQP_FIRST": ("cpu",)}],
-    ids=["steps", "residual", "cpu"],
-)
-def test_what_is_not_solved_accurately_is_piqps(
-    solver: BatchedSolver, monkeypatch: pytest.MonkeyPatch, limit: dict[str, Any]
+def test_what_no_stage_solves_is_said_and_gets_the_least_violating_control(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    if "steps" in limit:
-        solver._attempt = partial(attempt, steps=limit["steps"])
-    for name in limit.keys() - {"steps"}:
-        monkeypatch.setattr(batched_solver, name, limit[name])
-    drawn = synthetic(300, 11, seed=8)
-    sample = drawn[torch.nonzero((BatchedSolver().solve(drawn).control != drawn.desired).any(0)).flatten()]
-    ours, piqp = solver.solve(sample), PiqpSolver().solve(sample)
-    assert solver.resolved == len(sample.desired[0]) > 250
-    assert (ours.control == piqp.control).all() and (ours.status == piqp.status).all()
-    assert (ours.residual == piqp.residual).all()
+    """Here since it takes too many steps."""
+    monkeypatch.setattr(active_set, "MOST_STEPS", 1)
+    problems = synthetic(300, 11, seed=8)
+    answer = ActiveSet(attempted=0).solve(problems)
+    lost = answer.status == Status.UNSOLVED
+    assert lost.sum() > 250 and (answer.residual[lost] == math.inf).all()
+    candidates = [problems.desired, torch.zeros_like(problems.desired)]
+    others = least_violating(candidates, problems)
+    violated = [violation(problems, u)[:, lost] for u in (answer.control, others)]
+    must, rest = (ours <= theirs for ours, theirs in zip(*violated, strict=True))
+    assert (must & (rest | (violated[0][0] < violated[1][0]))).all()
+
+
+def violation(p: Problems, u: Tensor) -> Tensor:
+    """By how much controls violate rows without margin (2, N): those that must hold, and the others by weight."""
+    weight = torch.tensor(p.weight)[:, None]
+    short = (-left_hand_sides(u, p.a, p.b_no_margin)).clamp(min=0.0) ** 2
+    hard = weight.isinf()
+    return torch.stack(((short * hard).sum(0), (short * weight.masked_fill(hard, 0.0)).sum(0)))
 
 
 def synthetic(count: int, rows: int, seed: int) -> Problems:
@@ -113,7 +95,7 @@ def synthetic(count: int, rows: int, seed: int) -> Problems:
     a[-1, :, :third] = -a[-2, :, :third]
     b[-1, :third] = -b[-2, :third] - rng.uniform(0.2, 1.0, third)
     desired = np.where(rng.random((3, count)) < 0.1, 1.0, rng.uniform(-1, 1, (3, count)))
-    weight = torch.tensor([math.inf, *10.0 ** (3 + np.arange(rows - 1) % 3)], dtype=torch.float64)
+    weight = [math.inf, *(10.0 ** (3 + np.arange(rows - 1) % 3)).tolist()]
     return Problems(tensor(desired), tensor(a), tensor(b), tensor(b + 0.1), weight)
 
 
@@ -127,11 +109,11 @@ def force_left(u: ndarray, desired: ndarray, a: ndarray, b: ndarray, weight: nda
 
 
 @pytest.mark.parametrize("rows", [6, 11])
-def test_random_programs_satisfy_kkt(solver: BatchedSolver, rows: int) -> None:
+def test_random_programs_satisfy_kkt(rows: int) -> None:
     problems = synthetic(1000, rows, seed=rows)
-    answer, programs = solver.solve(problems), arrays(problems)
+    answer, programs = ActiveSet().solve(problems), arrays(problems)
     slack = answer.status == Status.SLACK
-    assert slack.sum() >= 300 and solver.resolved < 10
+    assert slack.sum() >= 300
     assert (answer.control.abs() <= 1.0).all()
     given, with_margins = given_slack(programs), feasible(programs.a, programs.b)
     for i, (u, desired, a, b, b_no_margin) in enumerate(
@@ -152,21 +134,22 @@ def test_random_programs_satisfy_kkt(solver: BatchedSolver, rows: int) -> None:
         assert force_left(u, desired, a, side, given[i]) <= (1e-8 if held.all() else 1e-11 * 1e5)
 
 
-def test_unsolvable_programs_are_proved_to_be(solver: BatchedSolver) -> None:
-    problems = synthetic(200, 6, seed=1)
-    problems.weight[:] = math.inf  # what was soft must hold
-    answer, programs = solver.solve(problems), arrays(problems)
+def test_unsolvable_programs_are_proved_to_be() -> None:
+    problems = dataclasses.replace(
+        synthetic(200, 6, seed=1), weight=[math.inf] * 6
+    )  # what was soft must hold
+    answer, programs = ActiveSet().solve(problems), arrays(problems)
     expected = feasible(programs.a, programs.b_no_margin)
     assert ((answer.status == Status.HARD).numpy() == expected).all()
     unsolved = answer.status == Status.UNSOLVED
-    assert solver.resolved == unsolved.sum() > 50
+    assert unsolved.sum() > 50
     assert (answer.residual[unsolved] == math.inf).all()
 
 
-def test_zero_row_that_cannot_hold_leaves_the_others_alone(solver: BatchedSolver) -> None:
+def test_zero_row_that_cannot_hold_leaves_the_others_alone() -> None:
     problems = synthetic(100, 6, seed=2)
     problems.a[1], problems.b[1], problems.b_no_margin[1] = 0.0, -0.5, -0.5
-    answer = solver.solve(problems)
+    answer = ActiveSet().solve(problems)
     assert (answer.status == Status.SLACK).all()
     np.testing.assert_allclose(answer.control.T, with_slack(arrays(problems)), rtol=0, atol=1e-7)
 
@@ -213,25 +196,60 @@ ADDED = {
 
 @pytest.mark.parametrize("added", ADDED.values(), ids=ADDED)
 def test_degenerate_rows_change_nothing(
-    solver: BatchedSolver, added: Callable[[Problems, Tensor], tuple[Tensor, Tensor]]
+    added: Callable[[Problems, Tensor], tuple[Tensor, Tensor]],
 ) -> None:
     problems = synthetic(450, 6, seed=5)[torch.arange(150, 450)]
     expected = torch.from_numpy(projection(arrays(problems)).T)
     a, b = (torch.cat(pair) for pair in zip((problems.a, problems.b), added(problems, expected), strict=True))
-    answer = solver.solve(Problems(problems.desired, a, b, b, problems.weight.repeat(2)))
+    answer = ActiveSet().solve(Problems(problems.desired, a, b, b, 2 * list(problems.weight)))
     assert (answer.status == Status.HARD).all()
-    assert solver.resolved == 0
     torch.testing.assert_close(answer.control, expected, rtol=0, atol=1e-6)
 
 
-def test_compiled_solver_gives_the_same_answers() -> None:
-    eager, compiled = BatchedSolver(), BatchedSolver()
-    compiled.compile([11], 16, "cpu")
-    for part in (synthetic(700, rows, seed=rows) for rows in (6, 11)):
-        for count in (1, 2, len(part.desired[0])):
-            sample = part[torch.arange(count)]
-            expected, answer = eager.solve(sample), compiled.solve(sample)
-            assert (answer.status == expected.status).all()
-            assert (answer.residual <= ACCURATE).all()
-            torch.testing.assert_close(answer.control, expected.control, rtol=0, atol=1e-9)
-        assert_faulty_program_leaves_its_neighbours_alone(compiled, part, "b", math.nan)
+@pytest.mark.parametrize("copies", [2, 8])
+def test_equal_rows_that_yield_weigh_as_much_together(copies: int) -> None:
+    """As often as passes repeat them."""
+    p = synthetic(300, 22, seed=3)[torch.arange(30)]
+    parts = (part.repeat(copies, *(1,) * (part.dim() - 1)) for part in (p.a, p.b, p.b_no_margin))
+    once = dataclasses.replace(p, weight=[copies * w for w in p.weight])
+    found, expected = (
+        ActiveSet().solve(Problems(p.desired, *parts, copies * list(p.weight))),
+        ActiveSet().solve(once),
+    )
+    assert torch.equal(found.status, expected.status) and (found.status == Status.SLACK).sum() > 5
+    torch.testing.assert_close(found.control, expected.control, rtol=0, atol=1e-9)
+
+
+class Compiled:
+    """The method in C, for programs of one kind."""
+
+    def __init__(self, problems: Problems) -> None:
+        def run(*parts: Tensor) -> list[Tensor]:
+            return list(vars(ActiveSet().solve(Problems(*parts, problems.weight))).values())
+
+        self.run = compiled.Compiled(run, *(getattr(problems, name)[..., :1] for name in FIELDS))
+
+    def solve(self, problems: Problems, wanted: Tensor | None = None) -> Solutions:
+        return Solutions(*self.run(*(getattr(problems, name).contiguous() for name in FIELDS)))
+
+
+@pytest.mark.parametrize("rows", [6, 11, 22])
+def test_the_method_in_c_gives_the_same_answers(rows: int) -> None:
+    part = synthetic(1000, rows, seed=rows)
+    in_c = Compiled(part)
+    for count in (1, 2, 1000):
+        sample = part[torch.arange(count)]
+        expected, answer = ActiveSet().solve(sample), in_c.solve(sample)
+        assert (answer.status == expected.status).all() and (answer.residual <= ACCURATE).all()
+        torch.testing.assert_close(answer.control, expected.control, rtol=0, atol=1e-9)
+    assert_faulty_program_leaves_its_neighbours_alone(in_c, part, "b", math.nan)
+
+
+def test_what_is_not_wanted_costs_nothing() -> None:
+    """Of programs that nobody wants nothing is said; the others are as if they were alone."""
+    part = synthetic(300, 11, seed=4)
+    wanted = torch.arange(300) % 3 == 0
+    for solver in (ActiveSet(), PiqpSolver()):
+        some, alone = solver.solve(part, wanted), solver.solve(part[torch.nonzero(wanted).flatten()])
+        for name in ("control", "status"):
+            assert torch.equal(getattr(some, name)[..., wanted], getattr(alone, name))

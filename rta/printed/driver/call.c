@@ -1,0 +1,56 @@
+/* Numbers as `filter` takes them. */
+static void read(const safety_filter_real *from, int count, double *to)
+{
+    for (int i = 0; i < count; ++i) {
+        to[i] = (double)from[i];
+    }
+}
+
+static void write(const double *from, int count, safety_filter_real *to)
+{
+    for (int i = 0; i < count; ++i) {
+        to[i] = (safety_filter_real)from[i];
+    }
+}
+
+void safety_filter(const struct safety_filter_input *in, struct safety_filter_output *out)
+{
+    const int too_old = (in->sent_count > SAFETY_FILTER_LATENCY) ? 1 : 0;
+    double state[16];
+    double desired[6];
+    double control[6];
+    double slack[SAFETY_FILTER_CONSTRAINTS];
+    double h[SAFETY_FILTER_CONSTRAINTS];
+    double status[1];
+    double program_status[2];
+    int intervened[1];
+    read(in->state, 16, state);
+    read(in->desired, 6, desired);
+#if TOLD
+    double left[6] = {1.0, 1.0, 1.0, 1.0, 1.0, 1.0};
+    double sent[SAFETY_FILTER_SENT_ROOM * 6];
+    for (int k = 0; k < SAFETY_FILTER_SENT_ROOM; ++k) { /* the newest last; NAN: the state is younger */
+        const int from = k - (SAFETY_FILTER_LATENCY - in->sent_count);
+        for (int j = 0; j < 6; ++j) {
+            sent[(6 * k) + j] = ((from < 0) || (too_old != 0)) ? NAN : (double)in->sent[from][j];
+        }
+    }
+#if SAFETY_FILTER_HEALTH
+    read(in->left, 6, left);
+#endif
+#endif
+    filter(state, desired, TOLD_ARGUMENTS control, intervened, &out->verified, &out->backup, out->active, slack, status,
+           program_status, h);
+    write(control, 6, out->control);
+    write(slack, SAFETY_FILTER_CONSTRAINTS, out->slack);
+    write(h, SAFETY_FILTER_CONSTRAINTS, out->h);
+    for (int group = 0; group < 2; ++group) {
+        out->program_status[group] = (too_old != 0) ? SAFETY_FILTER_UNSOLVED : (int)program_status[group];
+    }
+    out->status = (too_old != 0) ? SAFETY_FILTER_UNSOLVED : (int)status[0];
+    out->verified = (too_old != 0) ? 0 : out->verified;
+    out->violated = 0;
+    for (int k = 0; k < SAFETY_FILTER_CONSTRAINTS; ++k) {
+        out->violated = (h[k] < 0.0) ? 1 : out->violated;
+    }
+}
