@@ -1,10 +1,11 @@
-"""Control flow while it is recorded, see `kernels.control`: what is called becomes a function of C of its own.
+"""Records the control flow of `kernels.control`: every called function becomes a C function.
 
-A call or a loop is one expression, of all values that it is given; its results are expressions of it. A function is
-told in which columns it is wanted (`on`), and asks for no more of what it calls itself. For one column it is only
-called where it is wanted, and is not told.
+A call or a loop is one expression of all values that it is given, and its results are expressions of it. A function for
+vectors receives a mask `on` of the columns that need it, and passes on at most this mask. A function of one column is
+called only where it is needed, without a mask.
 """
 
+import functools
 import inspect
 import re
 from collections.abc import Callable, Sequence
@@ -13,21 +14,24 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kernels.build import header
 from kernels.exported import TAKEN
 from kernels.operations.expressions import MASK, NUMBER, Expression, Program, Value
 from kernels.operations.shapes import filled
-from kernels.parts import Called, Part, Recorded, has_tensors, mapped, part_of
-from kernels.recorder import ACTIVE, Recorder, evaluated, tensors
+from kernels.parts import Called, Part, Recorded, has_tensors, mapped, part_of, tensors_in
+from kernels.recorder import ACTIVE, Recorder, evaluated
 
-OWN = re.compile(  # names that printed text has itself, see kernels.waiting
-    "[ty][0-9]+|on|[ik]|next.*|at|column|count|end|first|in|in_step|lanes?|last|list|loop|out|out_step|segment|start|there|to|"
-    "turns|wants|work"
+# names that the headers and printed text have themselves
+HEADERS = "vector.h", "scalar.h", "functions.h", "waiting.h"
+TEXT = re.compile(
+    "t[0-9]+.*|on|[ik]|next_.*|(segment|loop)_[0-9]+|SEGMENTS_.*|LOOPS_.*|(load|store)_.*|mem...|straight|turns|next|start|end|in|in_step|"
+    "at|column|count|first|lanes?|last|list|out|out_step|ready|there|to|wants|work"
 )
 ONCE = "once"  # how often `when` calls a function
 
 
 def active() -> Recorder | None:
-    """What records this thread's operations; None: nothing does."""
+    """Returns this thread's recorder; None: nothing is recorded."""
     return ACTIVE.all[-1] if ACTIVE.all else None
 
 
@@ -43,8 +47,8 @@ def recorded(
     given, results = names or ([f"x{i}" for i in range(len(examples))], None)
     kinds = {part_of(each, x).kind for each, x in zip(given, examples, strict=True)}
     for real in ("float", "double") if {"float"} <= kinds <= {"float", "bool"} else ("double",):
-        called = Called(real, single)
-        found = record(called, function, examples, name, given, results, long)
+        called = Called(real, single, names={name})
+        found = record(called, function, examples, name, given, results, long, is_own=False)
         if real == "double" or not called.is_double:
             break
     return found, called
@@ -58,16 +62,28 @@ def record(
     given: Sequence[str],
     results: Sequence[str] | None,
     long: int,
+    is_own: bool = True,
 ) -> Recorded:
-    """A function of tensors, with names of its arguments and, None: as it names them, of its results."""
+    """Records one function.
+
+    Args:
+        given, results: names of its arguments and results (None: its named tuple's fields, else result_0, result_1,
+        ...).
+        is_own: they are made fit for C; else who prints it has chosen them.
+    """
+    if is_own:
+        given = fit(given)
     inputs = [part_of(each, x) for each, x in zip(given, examples, strict=True)]
     program = Program(called.real, called.single)
     recorder = Recorder(program, long, True if called.single else program.input("on", MASK), called)
     returned, values = evaluated(function, examples, inputs, recorder)
     called.is_double |= recorder.is_double
     listed = [returned] if isinstance(returned, Tensor) else list(returned)
-    results = results or getattr(returned, "_fields", [f"y{i}" for i in range(len(listed))])
-    results = [f"{each}_after" if each in given else each for each in results]
+    default = [f"result_{i}" if is_own else f"y{i}" for i in range(len(listed))]
+    results = results or getattr(returned, "_fields", default)
+    if is_own:
+        results = [f"{each}_after" if each in given else each for each in results]
+        results = fit([*given, *results])[len(given) :]
     return Recorded(
         name=name,
         about=(inspect.getdoc(function) or "").split("\n")[0],
@@ -82,7 +98,7 @@ def record(
 
 
 def like(returned: Any) -> Callable[[list[Tensor]], Any]:
-    """Makes of a list of tensors what a function returned: a tensor, a named tuple, or the list."""
+    """Returns a function that turns a list of tensors into what was returned: a tensor, a named tuple, or a list."""
     if isinstance(returned, Tensor):
         return lambda tensors: tensors[0]
     return type(returned)._make if hasattr(returned, "_make") else list
@@ -115,7 +131,7 @@ def loop(
         return [*following, goes_on]
 
     if most < 1:
-        return list(state)
+        return [x.clone() for x in state]
     both = (*state, *given)
     names = [*names_of(body, both)[: len(state)], "goes_on"]
     callee = one(recorder, body, turn, both, names, long, "")
@@ -147,17 +163,17 @@ def repeated(
     state: Sequence[Tensor],
     values: Sequence[Value],
 ) -> list[Tensor]:
-    """What becomes of a state; values: of it, and of all else that is given."""
+    """Makes the expression of a loop and returns its results; values: of the state, then of the other arguments."""
     check_state(callee, state)
     on = recorder.program.and_(recorder.on, recorder.values(alive).item())
     if on is False:
-        return list(state)
+        return [x.clone() for x in state]
     made = recorder.program.make("waiting" if waits else "loop", callee.name, most, on, *values)
     return results_of(recorder, callee, made)[: len(state)]
 
 
 def check_state(callee: Recorded, state: Sequence[Tensor]) -> None:
-    """Raises ValueError where a function does not return what a state is: shapes and types, in order."""
+    """Raises ValueError if results differ from the state in number, shape or type."""
     before = [(tuple(x.shape[:-1]), x.dtype) for x in state]
     after = [(part.shape, dtype) for part, dtype in zip(callee.outputs, callee.dtypes, strict=True)]
     if before != after[: len(before)] or len(after) - len(before) > 1:
@@ -173,7 +189,7 @@ def one(
     long: int,
     name: str,
 ) -> Recorded:
-    """What is recorded of a function for what it is given: tensors of these shapes, the rest as it is.
+    """Records a function once for each kind of arguments (`told_apart`), and returns the recording.
 
     Args:
         key: tells the function from others.
@@ -189,8 +205,8 @@ def one(
 
         run.__doc__ = inspect.getdoc(key)
         with recorder.aside():
-            examples = [x.detach().clone() for x in tensors(given)]
-            free = called.free(name or key.__name__.lstrip("_"))
+            examples = [x.detach().clone() for x in tensors_in(given)]
+            free = called.free(fit([name or getattr(key, "__name__", "of_partial")])[0])
             found = record(called, run, examples, free, names, results, long)
         called.kept.append(given)
         called.by_key[known] = called.by_name[found.name] = found
@@ -198,10 +214,12 @@ def one(
 
 
 def told_apart(given: Any) -> Any:
-    """What tells something that a function is given from others."""
+    """Returns what decides whether two arguments need two recordings."""
     if isinstance(given, Tensor):
         return tuple(given.shape), given.dtype
-    return (type(given), *map(told_apart, given)) if has_tensors(given) else id(given)
+    if isinstance(given, list | tuple):
+        return (type(given), *map(told_apart, given))
+    return (type(given), given) if isinstance(given, bool | int | float | str) else id(given)
 
 
 def leaves(name: str, given: Any) -> list[str]:
@@ -217,28 +235,50 @@ def leaves(name: str, given: Any) -> list[str]:
 
 
 def names_of(function: Callable[..., Any], given: Sequence[Any]) -> list[str]:
-    """What a function calls its arguments, where C may call them so, else x0, x1, ..."""
-    named = [
-        name
-        for name, each in inspect.signature(function).parameters.items()
-        if each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)
-    ]
-    named = [*named, *[""] * (len(given) - len(named))][: len(given)]
-    fit = [(name, f"{name}_", f"x{i}") for i, name in enumerate(named)]
-    return [next(each for each in names if is_free(each)) for names in fit]
+    """Returns what a function calls its arguments, where it has a name for one, else x0, x1, ..."""
+    try:
+        parameters = inspect.signature(function).parameters.items()
+    except ValueError:  # of a function of PyTorch's
+        parameters = {}.items()
+    named = [name for name, p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    named += [f"x{i}" for i in range(len(named), len(given))]
+    return named[: len(given)]
 
 
+def fit(names: Sequence[str]) -> list[str]:
+    """Makes names that C lets arguments and results of one function have: each its own, and nothing else's."""
+    found: list[str] = []
+    for name in names:
+        own = re.sub(r"^(?=[0-9]|next_)", "x_", re.sub(r"\W", "", name).strip("_") or "x")
+        own = own[0].lower() + own[1:]
+        while not is_free(own) or own in found:
+            own += "_"
+        found.append(own)
+    return found
+
+
+@functools.cache
 def is_free(name: str) -> bool:
-    """Whether C, and printed text, let an argument have a name."""
-    return (
-        bool(re.fullmatch("[a-z][a-z0-9_]*", name)) and not TAKEN.fullmatch(name) and not OWN.fullmatch(name)
+    """Tells whether C, its headers here, and printed text leave a name to others."""
+    taken = TAKEN.fullmatch(name) or TEXT.fullmatch(name) or not re.fullmatch("[a-z][a-zA-Z0-9_]*", name)
+    return not taken and name not in words()
+
+
+@functools.cache
+def words() -> frozenset[str]:
+    """Returns what the headers define: functions and types."""
+    defined = re.compile(
+        r"^static [^(]*?\b(\w+)\(|^typedef .*?\b(\w+)(?:\(.*\)| __attribute__.*)?;|^struct (\w+) {",
+        re.MULTILINE,
     )
+    found = [match for name in HEADERS for match in defined.findall(header(name))]
+    return frozenset(word for match in found for word in match if word)
 
 
 def values_of(recorder: Recorder, given: Sequence[Any]) -> list[Value]:
     """All values of the tensors among what is given, as their types have them."""
     p, found = recorder.program, list[Value]()
-    for x in tensors(given):
+    for x in tensors_in(given):
         found += [p.mask(v) if x.dtype == torch.bool else p.number(v) for v in recorder.values(x).flat]
     if any(isinstance(v, Expression) and v.varies for v in found):
         raise NotImplementedError("a call along an axis that is looped over cannot be printed as C")

@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 from kernels import build
-from kernels.build import for_vectors
+from kernels.build import for_vectors, header
 from kernels.printer import Part, Printed, printed
+from kernels.waiting import INCLUDE
 
 WORTH_A_THREAD = 6e-5  # s of computing that repay handing a share to a thread
 WORTH_A_FILE = 4000  # lines of C that another process of the compiler repays
@@ -79,14 +80,21 @@ class Kernel:
         self.inputs = [i for i, shape in enumerate(function.given) if 0 not in shape]
         if library is None:
             library = build.library(sources(function))
-        self.run = over_columns(library, f"{function.name}_batch", ctypes.c_long)
+        self.run = getattr(library, f"{function.name}_batch")
+        self.run.argtypes = [ctypes.c_long, ctypes.c_long, *[ctypes.c_void_p] * 4, ctypes.c_long]
         self.run.restype = ctypes.c_long
+        self.waits = bool(function.waiting)
         self.seconds = 0.0  # of a column
         probe = [examples[i].expand(*examples[i].shape[:-1], PROBED).contiguous() for i in self.inputs]
         self.seconds = min(timed(self.of, probe, PROBED) for _ in range(3)) / PROBED
 
     def __call__(self, *tensors: Tensor, times: int = 1) -> Parts:
-        """What the function returns, or after several calls in a row, see `batch`."""
+        """What the function returns, or after several calls in a row, see `batch`.
+
+        Raises ValueError for several calls of a function with loops that wait.
+        """
+        if times > 1 and self.waits:
+            raise ValueError(f"times = {times}: must be 1 where loops wait")
         return self.of([tensors[i] for i in self.inputs], tensors[0].shape[-1], times)
 
     def of(self, tensors: Sequence[Tensor], columns: int, times: int = 1) -> Parts:
@@ -114,7 +122,9 @@ def sources(function: Printed, apart: bool = True) -> dict[str, str]:
     Args:
         apart: of a long one what it calls is a file of its own, which is compiled beside it.
     """
-    head, own = for_vectors(function.real), function.waiting or function.text + batch(function)
+    head, own = for_vectors(function.real), function.text + batch(function)
+    if function.waiting:
+        own = function.waiting.replace(INCLUDE, header("waiting.h"))
     if not apart or sum(part.count("\n") for part in function.parts) < WORTH_A_FILE:
         return {function.name: "\n".join([head, *function.parts, own])}
     parts = [part.replace("\nstatic void ", f"\n{SHARED} void ", 1) for part in function.parts]
@@ -181,14 +191,6 @@ def moved(part: Part, place: str, step: str, how: str) -> str:
     return f"        for (long k = 0; k < {part.size}; k++) {{ {line} }}"
 
 
-def over_columns(library: ctypes.CDLL, name: str, *more: type) -> Any:
-    """A C function of a range of columns, `pointers` of arguments and of results, and more."""
-    run = getattr(library, name)
-    run.argtypes = [ctypes.c_long, ctypes.c_long, *[ctypes.c_void_p] * 4, *more]
-    run.restype = None
-    return run
-
-
 def strided(x: Tensor) -> Tensor:
     """x (..., B) as (components, B), as it lies if columns are neighbours and components evenly apart; else a copy."""
     flat = x.reshape(math.prod(x.shape[:-1]), x.shape[-1])
@@ -218,7 +220,7 @@ def with_one_thread() -> None:
 os.register_at_fork(after_in_child=with_one_thread)
 
 
-def in_shares(run: Callable[[int, int], int | None], columns: int, seconds: float) -> int:
+def in_shares(run: Callable[[int, int], int], columns: int, seconds: float) -> int:
     """Runs over columns in as many ranges as there are threads, if each then has enough to do; sums what it returns.
 
     Args:
@@ -228,17 +230,17 @@ def in_shares(run: Callable[[int, int], int | None], columns: int, seconds: floa
     shares = int(columns * seconds / WORTH_A_THREAD)
     shares = min(most_threads or torch.get_num_threads(), shares) if shares > 1 else shares
     if shares < 2:
-        return run(0, columns) or 0
+        return run(0, columns)
     size = -(-columns // shares)
     size += -size % 64  # whole vectors
     if shares not in POOLS:
         POOLS[shares] = ThreadPoolExecutor(shares)
     others = [POOLS[shares].submit(run, i, min(i + size, columns)) for i in range(size, columns, size)]
     try:
-        own = run(0, min(size, columns)) or 0
+        own = run(0, min(size, columns))
     finally:
         wait(others)  # which write into tensors that an error would free
-    return own + sum(other.result() or 0 for other in others)
+    return own + sum(other.result() for other in others)
 
 
 def with_own_code(function: Callable[..., Parts]) -> FunctionType:

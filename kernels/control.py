@@ -1,13 +1,13 @@
 """Control flow of a batch whose columns differ: `loop`, `when` and `call`.
 
-Called with tensors they compute: a loop's body runs on the columns that still want it, and on no others. While a
-function is recorded (`kernels.recorder`) they become loops and functions of C, which give the same bits. There a vector
-of columns goes round a loop as long as one of them wants to, and what is computed for the others is dropped. A loop
-that `waits` wastes no lane so: a column leaves it at once when its own loop has ended, and another one takes its place
-(`kernels.waiting`).
+Called with tensors, they compute: a loop's body runs only on the columns that still go on. While a function is recorded
+(`kernels.recorder`), they become loops and functions of C that give the same bits. In C a vector of columns goes round
+a loop until all its columns have ended; results of columns that ended earlier are dropped. A loop with `waits=True`
+keeps
+its lanes full: a column leaves when its own loop ends, and another column takes its lane (`kernels.waiting`).
 
-A body is given all tensors that it computes with, alone or in tuples and lists: what it finds around itself has other
-columns. What it is given beside them is the same for all columns.
+A body must receive every tensor that it computes with as an argument, alone or in tuples and lists: tensors of the
+function around it have other columns. Other arguments are the same for all columns.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,16 +31,15 @@ def loop(
     waits: bool = False,
     long: int = 0,
 ) -> list[Tensor]:
-    """Returns what becomes of a state (..., B): of each column, `body(*state, *given)` again and again.
+    """Calls `body(*state, *given)` repeatedly in each column, and returns the last state (..., B).
 
     Args:
         body: returns the next state, and in which columns to go on, (B,) bool.
         given: tensors (..., B) or anything else, the same each time.
-        alive: (B,) bool, the columns to begin with; most: times at most.
-        waits: in C other columns take the place of those that have ended, see `kernels.waiting`. It counts in a
-        function
-            that is compiled, and in the bodies of such loops; in a function that these `call` it does not.
-        long: of the body, see `kernels.printer.printed`.
+        alive: (B,) bool, the columns to begin with; most: the largest number of calls.
+        waits: in C, other columns take the lanes of those that have ended, see `kernels.waiting`. It counts in the
+            function that is compiled, and in the bodies of its waiting loops; inside what they `call` it is ignored.
+        long: length of an axis that the body loops over, see `kernels.printer.printed`.
     """
     if recorder := calls.active():
         return calls.loop(recorder, body, state, given, alive, most, waits, long)
@@ -68,7 +67,7 @@ def when(
 ) -> list[Tensor]:
     """Returns `function(*given)` in the columns where a condition (B,) holds, else `otherwise` (..., B).
 
-    Arguments as of `loop`; name: in C, "": the function's.
+    The other arguments are those of `loop`. name: of the function in C; "": its Python name.
     """
     if recorder := calls.active():
         return calls.when(recorder, condition, function, otherwise, given, waits, long, name)
@@ -87,7 +86,7 @@ def call(function: Callable[..., R], *given: Any, long: int = 0, name: str = "")
 
 
 def picked(given: Sequence[Any], columns: Tensor) -> list[Any]:
-    """What is given, of tensors these columns."""
+    """Picks columns of all tensors among arguments; returns other arguments as they are."""
     return mapped(lambda x: pick(x, columns), list(given))
 
 

@@ -69,26 +69,30 @@ class Called:
         single: they are printed for one column, so that none is told in which columns it is wanted.
 
     Attributes:
-        by_key: what is recorded, by what tells it from others; by_name: the same, those that are called before others.
-        kept: what the keys name by its place in memory.
+        names: of functions in C, those that are being recorded included.
+        by_key: recordings by the key of `kernels.calls.one`; by_name: the same, functions before those that call them.
+        kept: objects whose id() is in a key; kept, so that no other object gets the id.
         is_double: one of them computed float64.
     """
 
     real: str
     single: bool
+    names: set[str] = field(default_factory=set)
     by_key: dict[tuple[Any, ...], Recorded] = field(default_factory=dict)
     by_name: dict[str, Recorded] = field(default_factory=dict)
     kept: list[Any] = field(default_factory=list)
     is_double: bool = False
 
     def free(self, name: str) -> str:
-        """The name, or one with a number that no function has."""
-        names = [name, *(f"{name}_{i}" for i in range(2, len(self.by_name) + 3))]
-        return next(each for each in names if each not in self.by_name)
+        """Reserves the name for a function, or one with a number that no function has."""
+        names = (name, *(f"{name}_{i}" for i in range(2, len(self.names) + 3)))
+        found = next(each for each in names if each not in self.names)
+        self.names.add(found)
+        return found
 
 
 def mapped(function: Callable[[Tensor], Any], given: Any) -> Any:
-    """What is given, with what a function makes of each tensor in it in that one's place."""
+    """Replaces every tensor in nested tuples and lists by the function's result."""
     if isinstance(given, Tensor):
         return function(given)
     if not isinstance(given, list | tuple) or not has_tensors(given):
@@ -97,9 +101,16 @@ def mapped(function: Callable[[Tensor], Any], given: Any) -> Any:
     return type(given)._make(found) if hasattr(given, "_make") else type(given)(found)
 
 
+def tensors_in(given: Any) -> list[Tensor]:
+    """Returns the tensors in nested tuples and lists, in order."""
+    if isinstance(given, Tensor):
+        return [given]
+    return [x for each in given for x in tensors_in(each)] if isinstance(given, list | tuple) else []
+
+
 def has_tensors(given: Any) -> bool:
     """Whether something is a tensor, or a tuple or a list that holds one."""
-    return isinstance(given, Tensor) or (isinstance(given, list | tuple) and any(map(has_tensors, given)))
+    return bool(tensors_in(given))
 
 
 def part_of(name: str, column: Tensor) -> Part:

@@ -2,7 +2,7 @@
 
 A printed function takes and fills arrays of V, component first, and nothing else: V is a number, or a vector of the
 compiler's with one column per lane. What is printed does not depend on which; `vector.h` and `scalar.h` say what V is.
-Only calls and loops do (`kernels.control`): for vectors they say in which columns they are wanted.
+Only calls and loops differ (`kernels.control`): for vectors they pass a mask of the columns that need them.
 """
 
 import re
@@ -31,7 +31,7 @@ class Printed:
         real: the type of its numbers; statements: how many it has.
         text: of the function.
         shapes, dtypes: of all results; given: shapes of all arguments, also of those without components.
-        is_told: its first argument in C says in which columns it is wanted.
+        is_told: its first argument in C is the mask `on`.
         parts: the functions that it calls; those that are called stand before others.
         waiting: what computes a batch in its place where loops wait, see `kernels.waiting`; "": none does.
     """

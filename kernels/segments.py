@@ -34,7 +34,7 @@ class Waits:
     """A loop that waits.
 
     Attributes:
-        it: what is said of it; number: its own in C.
+        it: the loop (`kernels.text.Repeated`); number: of its C function.
         state, given: places of what its body is given, by part; results are where the state was.
         body: its segments; None: it is one function.
     """
@@ -58,7 +58,7 @@ class Waits:
         return placed(self.it.state, self.state)
 
     def begin(self, body: Body) -> list[Placed]:
-        """What a column that comes to the loop stores: the state, and literals that are given."""
+        """Returns what a column stores when it comes to the loop: the initial state, and literal arguments."""
         values = [*self.it.start, *(v for v in self.it.values if not isinstance(v, Expression))]
         places = [place for part in self.state for place in part]
         given = [place for part in self.given for place in part]
@@ -69,7 +69,7 @@ class Waits:
 
 
 class Frame:
-    """A function that is cut: all of a batch's, or the body of a loop that waits.
+    """A function cut into segments: that of a batch, or the body of a loop that waits.
 
     Attributes:
         owner: the loop whose body it is; None: it is all of a batch.
@@ -82,7 +82,9 @@ class Frame:
     def __init__(self, records: Records, body: Body, owner: Waits | None = None) -> None:
         self.records, self.body, self.owner = records, body, owner
         if any(each.varies for each in body.needed):
-            raise NotImplementedError("an axis that is looped over, beside loops that wait,")
+            raise NotImplementedError(
+                "an axis that is looped over, in a function with loops that wait, cannot be printed as C"
+            )
         self.waits = [each for each in body.needed if each.operation == "waiting"]
         self.segment, self.last = segments(body.needed, self.waits), len(self.waits)
         self.places, self.literals, self.given = (
@@ -142,7 +144,7 @@ class Frame:
         return {each.index: s for s in range(self.last + 1) for each in self.used(s)}
 
     def is_early(self, place: str) -> bool:
-        """Whether a result, of which this is an element, is known before the first loop, of all of a batch."""
+        """Tells whether a result of a batch, of which `place` is an element, is known before the first loop."""
         own = [value for at, value, _ in self.body.stores if at.split("[")[0] == place.split("[")[0]]
         known = all(not isinstance(v, Expression) or self.segment[v.index] == 0 for v in own)
         return known and self.owner is None
@@ -167,7 +169,7 @@ class Frame:
         return found + (self.loops[s].begin(self.body) if s < self.last else [])
 
     def live(self, s: int) -> list[Placed]:
-        """What a column stores that leaves the straight way for a loop."""
+        """Returns what a column stores when it leaves `straight` for the loop after segment s."""
         own = [
             each for each in self.body.needed if each.index in self.places and self.segment[each.index] <= s
         ]
@@ -194,7 +196,7 @@ def segments(needed: Sequence[Expression], waits: Sequence[Expression]) -> dict[
 
 
 def is_value(each: Expression) -> bool:
-    """Whether an expression is a value of its own, and not where the function is wanted."""
+    """Tells whether an expression is a value, not a call, a loop or the mask `on`."""
     return each.operation not in ("call", *LOOPS) and each.arguments[:1] != ("on",)
 
 

@@ -23,9 +23,9 @@ class Repeated(NamedTuple):
     """A loop, or what is called where a condition holds.
 
     Attributes:
-        callee: the body; state: what it changes; given: what it is given beside that.
-        most: how often it goes round, ONCE: see `kernels.control.when`; alive: where; start, values: what the state is
-            before, and what is given.
+        callee: the body; state: what it changes; given: its other arguments.
+        most: the largest number of calls, ONCE: see `kernels.control.when`; alive: the columns to begin with.
+        start: the initial state; values: of the arguments `given`.
     """
 
     callee: Recorded
@@ -49,7 +49,7 @@ class Body:
 
     Attributes:
         stores: what the function fills: place, value, kind; needed: all that these are made of.
-        asks: it calls functions that are told where they are wanted.
+        asks: it calls functions that take the mask `on`.
     """
 
     def __init__(self, function: Recorded, called: Called) -> None:
@@ -200,7 +200,7 @@ class Body:
         head = f"if ({anywhere}) {{"
         if it.most != ONCE:
             head = f"for (int k = 0; k < {it.most} && {anywhere}; ++k) {{"
-            body.append(f"{start}on = AND({start}on, next_goes_on[0]);")
+            body.append(f"{start}on = AND({start}on, next_{it.callee.outputs[-1].name}[0]);")
         return [*made, f"M {start}on = {alive};", head, *(f"    {line}" for line in body), "}"]
 
     def repeated(self, each: Expression) -> Repeated:
@@ -230,7 +230,7 @@ class Body:
         return [f"for (int i = 0; i < {y.size}; ++i) {{", f"    {to} = {new};", "}"]
 
     def told(self, on: Value | str) -> list[str]:
-        """What a function is told of where it is wanted."""
+        """Returns the mask argument of a call: none for one column."""
         return [] if self.called.single else [on if isinstance(on, str) else self.operand(on, MASK)]
 
     def arrays(

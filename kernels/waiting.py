@@ -12,26 +12,26 @@
 
 On the left (`straight`) columns go all the way in registers: most wait for nothing. A column that wants to go round a
 loop leaves this way, and stores its live values in a record (`kernels.segments`). On the right a segment loads what it
-reads of W records, computes, stores, and appends the columns that want the next loop to that one's list. Lists are
-worked off in the order of the function, each to its end, so that of all the vectors of a loop only the last few have
-idle lanes. A chunk of columns is long for that reason.
+reads of W records, computes, stores, and appends the columns that want the next loop to that one's list. Loops run in
+the function's order, each until its list is empty, so only its last vectors have idle lanes. Chunks are long to keep
+these few.
 
 The body of a loop may have loops that wait, too. Then it is cut likewise, and all columns that go round the outer loop
 go through its segments together, once for each turn. The body of any other loop is one function, W lanes at a time.
 
-What is computed of a column depends on nothing but that column, so that its bits are the same in any order, in any
-batch, and with any number of lanes.
+Each column's results depend on that column alone: their bits are the same in any order, in any batch, and with any
+number of lanes.
 """
 
 from collections.abc import Sequence
 
-from kernels.build import header
 from kernels.calls import ONCE
 from kernels.operations.expressions import MASK
 from kernels.parts import Part
 from kernels.segments import Frame, Placed, Records, Waits, has_waits
 from kernels.text import LOOPS, Body, declared, letter
 
+INCLUDE = '#include "waiting.h"'  # by `kernels.compiled.sources`: what is recorded does not hold it
 CHUNK = 2048  # columns that are on their way at once
 MEMORY = {"double": "double", "bool": "uint8_t", "long": "int64_t", "float": "float"}
 LANES = "for (int lane = 0; lane < W; ++lane) {"
@@ -44,20 +44,18 @@ RECORDS = [
 
 
 def waiting(body: Body) -> str:
-    """The text of a function for a batch, NAME_batch as of `kernels.compiled.batch`; "": none of its loops waits."""
+    """Returns the C of a function for a batch, NAME_batch as of `kernels.compiled.batch`; "": no loop waits."""
     if not has_waits(body):
         return ""
     records = Records()
     frame = Frame(records, body)
     sizes = {"NUMBERS": records.sizes["n"], "TRUTHS": records.sizes["m"], "LOOPS": frame.last, "CHUNK": CHUNK}
     lines = [*functions(frame), *straight(frame), *batch(frame)]
-    return "\n".join(
-        [*(f"#define {name} {max(1, n)}" for name, n in sizes.items()), header("waiting.h"), *lines]
-    )
+    return "\n".join([*(f"#define {name} {max(1, n)}" for name, n in sizes.items()), INCLUDE, *lines])
 
 
 def functions(frame: Frame) -> list[str]:
-    """The functions of a frame's loops and segments, and tables of them."""
+    """Returns the C functions of a frame's loops and segments, and tables of them."""
     lines = [line for each in frame.loops for line in loop(each)]
     first = 0 if frame.owner else 1
     lines += [line for s in range(first, frame.last + 1) for line in segment(frame, s)]
@@ -73,7 +71,7 @@ def functions(frame: Frame) -> list[str]:
 
 
 def loop(waits: Waits) -> list[str]:
-    """The function that has the columns of a list go round a loop."""
+    """Returns the C function that has the columns of a list go round a loop."""
     head = [f"static void loop_{waits.number}(struct work *work, const int *list, int count)", "{"]
     if not waits.body:
         return [*head, *(once(waits) if waits.it.most == ONCE else refilled(waits)), "}", ""]
@@ -98,7 +96,7 @@ def once(waits: Waits) -> list[str]:
 
 def refilled(waits: Waits) -> list[str]:
     """The statements of a loop: when a column ends it is stored, and the next one of the list takes its lane."""
-    callee = waits.it.callee
+    callee, goes_on = waits.it.callee, waits.it.callee.outputs[-1].name
     state = list(zip(waits.arguments, waits.results, strict=False))
     return [
         "    struct record *at[W];",
@@ -122,7 +120,7 @@ def refilled(waits: Waits) -> list[str]:
         *(f"        {line}" for line in called(waits)),
         *(f"        {before} = next_{after};" for (before, _), (after, _) in state),
         f"        {LANES}",
-        f"            if (on[lane] && (++turns[lane] == {waits.it.most} || !next_goes_on[0][lane])) {{",
+        f"            if (on[lane] && (++turns[lane] == {waits.it.most} || !next_{goes_on}[0][lane])) {{",
         *(f"                at[lane]->{place} = {before}[lane];" for (before, _), (_, place) in state),
         "                on[lane] = 0;",
         "            }",
@@ -139,7 +137,7 @@ def called(waits: Waits) -> list[str]:
 
 
 def segment(frame: Frame, s: int) -> list[str]:
-    """The function of a segment; the last one stores the loop's next state, or the results."""
+    """Returns the C function of a segment; the last one stores the loop's next state, or the results."""
     number, body = frame.numbers[s], frame.body
     lines = [*loads(frame, s), *computed(frame, s)]
     if s < frame.last:
@@ -235,7 +233,7 @@ def every(parts: Sequence[Part]) -> list[Part]:
 
 
 def straight(frame: Frame) -> list[str]:
-    """The way of W columns on which none waits."""
+    """Returns `straight`: W columns go through all segments; a column that needs a loop leaves."""
     lines, body = list[str](), frame.body
     index = {y.name: i for i, y in enumerate(every(body.function.outputs))}
     for s in range(frame.last + 1):

@@ -47,8 +47,6 @@ from rta.qp.piqp_solver import PiqpSolver
 from rta.qp.programs import Solver, Status
 from rta.result import FilterResult
 
-SOLVERS: dict[str, type[Solver]] = {"piqp": PiqpSolver, "batched": ActiveSet}
-
 
 class SafetyFilter(Fixed):
     """The minimally invasive correction of a desired control.
@@ -60,7 +58,7 @@ class SafetyFilter(Fixed):
         c: the task's constants; None: the paper's.
         parameters: period, gains, margins and weights for the paper's vehicle, see `rta.constraints.vehicle`; None: the
             defaults.
-        solver: of the quadratic programs; None: the one that the parameters name, for `auto` the active-set method.
+        solver: of the quadratic programs; None: PIQP where the parameters name it, else the active-set method.
         extra: constraints of your own.
         uncertainty: the bounds of what the model and the measured state may be off by; None: the plant is the model.
 
@@ -369,8 +367,3 @@ def narrowed(chosen: Tensor, x: Tensor, accepts: Callable[[Tensor], Tensor]) -> 
     if columns.numel():
         put(chosen, columns, accepts(pick(x, columns)))
     return chosen
-
-
-def make_solver(name: str) -> Solver:
-    """Makes a new solver; raises KeyError for a name that is not in SOLVERS."""
-    return SOLVERS[name]()

@@ -232,7 +232,7 @@ def concluded(
     is_broken: Tensor,
     share: Tensor | None,
 ) -> Found:
-    """The solution (3, B) of a group's programs in the place of what was found where that breaks a row, (B,) bool."""
+    """Puts solutions (3, B) in place of controls that break a row, (B,) bool; reports which rows bind, and slack."""
     active, slack = from_qp(group, asked, rows.length, solution, status)
     control = torch.where(is_broken, solution * group.limit, found.control)
     given = control if share is None else share * control
@@ -246,7 +246,7 @@ def as_desired(control: Tensor, status: Tensor, h: Tensor) -> Found:
     return Found(control, status, torch.zeros_like(h, dtype=torch.bool), torch.zeros_like(h), h)
 
 
-def solver_of(groups: Sequence[ActuatorGroup]) -> Solver:
+def solver_of(groups: Sequence[ActuatorGroup]) -> ActiveSet:
     """The active-set method for the programs of groups: one function for all."""
     classes = sorted({w for group in groups for w in group.weights if math.isfinite(w)})
     attempted = ATTEMPTED_SAMPLED if groups[0].kind == "sampled" else ATTEMPTED

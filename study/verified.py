@@ -13,6 +13,7 @@ from typing import Any
 from inspection.chief.mesh import with_digest
 from inspection.model.parameters import ChiefParameters, Limits
 from inspection.world.parameters import PlantParameters
+from kernels.build import header
 from kernels.cache import remembered
 from ppo.distributed import is_first
 from rta.constraints.names import OWN, PAPERS
@@ -92,7 +93,8 @@ def code_digest(config: Config) -> str:
     """The first 12 hexadecimal digits of the SHA-256 of a configuration's filter as C, for one and for a batch."""
     safety_filter = checked_filter(config)
     batch = remembered(recorded, uncompiled(safety_filter), False)
-    texts = [implementation(safety_filter), *batch.parts, batch.waiting]
+    own = batch.waiting or batch.text
+    texts = [implementation(safety_filter), *batch.parts, own, header("waiting.h")]
     return hashlib.sha256("".join(texts).encode()).hexdigest()[:12]
 
 

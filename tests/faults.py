@@ -586,7 +586,10 @@ IN_C = [  # what is printed; what is computed is written once, in Python
     *faults(
         "kernels/text.py",
         "kernels/test_control.py -k bits_are or one_column",
-        ('f"{start}on = AND({start}on, next_goes_on[0]);"', 'f"{start}on = next_goes_on[0];"'),
+        (
+            "= AND({start}on, next_{it.callee.outputs[-1].name}[0]);",
+            "= next_{it.callee.outputs[-1].name}[0];",
+        ),
         (
             "'CHOOSE' if y.is_mask else 'SELECT'}({start}on, {new}, {to})",
             "'CHOOSE' if y.is_mask else 'SELECT'}(YES, {new}, {to})",
@@ -609,7 +612,7 @@ IN_C = [  # what is printed; what is computed is written once, in Python
     *faults(
         "kernels/waiting.py",
         "kernels/test_control.py -k bits_are or goes_round or lanes_are",
-        ("(++turns[lane] == {waits.it.most} || !next_goes_on[0][lane])", "(!next_goes_on[0][lane])"),
+        ("++turns[lane] == {waits.it.most} || ", ""),
         ('"                turns[lane] = 0;",', ""),
         ("if (!on[lane] && next < count) {", "if (!ANY(on) && next < count) {"),
         ('"        on = AND(on, NOT(wants));",', ""),
@@ -636,7 +639,7 @@ IN_C = [  # what is printed; what is computed is written once, in Python
     *faults(
         "rta/printed/driver/call.c",
         "rta/printed/test_export.py -k own_test and u1",
-        ("k - (SAFETY_FILTER_LATENCY - in->sent_count)", "k"),
+        ("k - (SAFETY_FILTER_LATENCY - count)", "k"),
         ("out->verified = (too_old != 0) ? 0 : out->verified;", ""),
     ),
     *faults(

@@ -11,11 +11,11 @@ import torch
 import main
 from inspection.transition import METRICS
 from rta.constraints.names import CONSTRAINTS
-from rta.filter import SOLVERS
 from settings import configured, from_toml, override
 from study import experiment
 from study.config import Config
 from study.training import session as training
+from tests.support.solvers import SOLVERS
 
 STATE: dict[str, Any] = {
     "position": [60.0, 10.0, -20.0],

@@ -146,7 +146,7 @@ class NominalBackup(Check):
         return [x, alive, found], alive.any(0)
 
     def held(self, x: Tensor, alive: Tensor, found: Tensor, broken: Tensor) -> tuple[list[Tensor], Tensor]:
-        """A hold of the laws, of flights that have not arrived."""
+        """Flies a hold of the laws, for flights that have not arrived."""
         alive, found = ended(alive, found, self.arrived(x, broken))
         x, alive = when(alive.any(0), self.hold_of_laws, [x, alive], x, alive, broken)
         return [x, alive, found], alive.any(0)
@@ -188,6 +188,6 @@ def at_once(x: Tensor, early_accept: EarlyAccept) -> Tensor:
 
 
 def ended(alive: Tensor, found: Tensor, well: Tensor) -> tuple[Tensor, Tensor]:
-    """Flights that are left, and those that ended well, (2, B) bool, when some more have."""
+    """Moves the flights in `well` from `alive` to `found`; returns both, (2, B) bool."""
     found = found | (alive & well)
     return alive & ~found, found

@@ -106,7 +106,7 @@ class HoldBounds(NamedTuple):
 
 
 def hold_bounds(y: Tensor, u: Tensor, w: RobustTerminalSet, r: RtaParameters) -> HoldBounds:
-    """A hold of u (6, B), one that has broken a limit no longer; y: as of `keeps_motion`."""
+    """Bounds a hold of controls (6, B), period by period, until a limit may be broken; y: as of `keeps_motion`."""
     x, error_bound = y[:SIZE], y[SIZE:]
     least, grown = torch.full_like(y[0], torch.inf), [error_bound[1]]
     found = HoldBounds(least, [], [], [])

@@ -13,7 +13,7 @@ from kernels.compiled import Kernel, sources
 from kernels.printer import Printed, printed
 from rta.backup.commit import LIMITS
 from rta.backup.nominal_check import NominalBackup
-from rta.qp.active_set import ActiveSet
+from rta.propose import solver_of
 
 if TYPE_CHECKING:
     from rta.filter import SafetyFilter
@@ -39,17 +39,23 @@ def flights(safety_filter: "SafetyFilter") -> Kernel:
 
 
 def uncompiled(safety_filter: "SafetyFilter") -> "SafetyFilter":
-    """A copy: what is compiled has no digest, and is not recorded."""
+    """Returns a copy without compiled parts, which have no digest and cannot be recorded."""
     found = copy(safety_filter)
-    if safety_filter.backup is None and found.backup is not None:  # which somebody has taken away
+    if safety_filter.backup is None and found.backup is not None:  # somebody has taken it away
         object.__setattr__(found, "backup", None)
     return found
 
 
 def recorded(safety_filter: "SafetyFilter", single: bool) -> Printed:
-    """`SafetyFilter.answer` in C; `single`: for one spacecraft, whose programs wait for no others."""
-    if single and isinstance(safety_filter.solver, ActiveSet):
-        safety_filter.solver.attempted = 0
+    """Prints `SafetyFilter.answer` of a copy, whose solver is replaced, as C.
+
+    Args:
+        single: for one spacecraft, whose programs wait for no others.
+    """
+    solver = solver_of(safety_filter.groups)
+    if single:
+        solver.attempted = 0
+    safety_filter.propose.solver = solver
 
     def answer(*given: Tensor) -> list[Tensor]:
         return list(vars(safety_filter.answer(*given)).values())

@@ -50,7 +50,7 @@ class InC:
         if sent is not None:
             if len(sent) > self.room:
                 raise ValueError(f"{len(sent)} controls sent: the C was exported for {self.room}")
-            younger = sent.isnan().any(1)  # whose first ones are NaN
+            younger = sent.isnan().any(1)  # than the first of these controls
             given["sent_count"] = (~younger).sum(0).numpy()
             for column, count in enumerate(given["sent_count"]):
                 given["sent"][column, :count] = sent[len(sent) - count :, :, column].numpy()

@@ -18,7 +18,7 @@ SCALAR, FUNCTIONS = header("scalar.h"), header("functions.h")
 def source(safety_filter: "SafetyFilter", function: Printed) -> str:
     """The printed filter and what calls it, after safety_filter.h."""
     u = safety_filter.uncertainty
-    told = "" if u.is_zero else "sent, left," if u.latency else "left,"
+    told = "" if u.is_zero else "&sent[0][0], left," if u.latency else "left,"
     head = [define("TOLD", int(not u.is_zero)), define("TOLD_ARGUMENTS", told)]
     return "\n".join([for_one([function]), *head, driver_text("call.c")])
 

@@ -4,12 +4,12 @@ For three controls u in units of their actuators' limits, with the bounds among 
 
     minimise |u - u_des|^2 / 2 + sum_i w_i delta_i^2 / 2   subject to   a_i u + b_i + delta_i >= 0.
 
-From u_des clipped to the bounds, where those it is beyond are active, rows become active one by one, the most violated
-first, at the cost of active ones whose multiplier falls to zero, until no row is violated or the active rows exclude
-the next one.
+The method starts at u_des clipped to the bounds; bounds that u_des exceeds are active. In each step the most violated
+row becomes active, or an active row whose multiplier has fallen to zero leaves. The method ends when no row is violated
+(optimal), or when the active rows exclude the next one (infeasible).
 
-An active row with slack has delta_i = -(a_i u + b_i), and the multiplier w_i delta_i. It holds for any u, and only
-steepens the program,
+An active row with slack has delta_i = -(a_i u + b_i), and the multiplier w_i delta_i. It restricts no
+control, but adds its cost to the Hessian,
 
     H = 1 + sum_i w_i a_i a_i'   over active rows with slack.
 
@@ -64,8 +64,8 @@ class ActiveSet:
     """All programs of a batch at once, on their own device.
 
     Args:
-        attempted: steps that all programs are given before those that need more wait for each other; 0: none.
-        rows, classes: of several kinds of programs the most rows, and all weights, so that one function solves them.
+        attempted: steps that every program takes first; those that need more go on in a loop that waits. 0: none.
+        rows, classes: the most rows and all finite weights of programs to come, so that one C function solves them.
     """
 
     def __init__(self, attempted: int = ATTEMPTED, rows: int = 0, classes: Sequence[float] = ()) -> None:
@@ -98,7 +98,7 @@ class ActiveSet:
 
 def attempt(desired: Tensor, a: Tensor, b: Tensor, b_no_margin: Tensor, steps: int) -> list[Tensor]:
     """Some steps of programs without slack, enough for nearly every one that is feasible; as `by_stages`."""
-    finite = (desired.sum(0) + b_no_margin.sum(0)).isfinite()  # of which the residual does not tell
+    finite = (desired.sum(0) + b_no_margin.sum(0)).isfinite()  # the residual shows neither
     a, b = with_bounds(a, b)
     none, state = torch.zeros_like(b), begin(desired, len(b))
     for _ in range(steps):
@@ -177,7 +177,7 @@ def violation(u: Tensor, a: Tensor, b: Tensor, weight: Tensor) -> tuple[Tensor, 
 def less_violating(
     u: Tensor, best: Tensor, must: Tensor, rest: Tensor, a: Tensor, b: Tensor, weight: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Of controls (3, N) and the best so far the less violating, by `violation`: rows that must hold come first."""
+    """Returns the control (3, N) that violates the rows less, u or best; rows that must hold are compared first."""
     own_must, own_rest = violation(u, a, b, weight)
     is_better = (own_must < must) | ((own_must == must) & (own_rest < rest))
     pairs = (u, best), (own_must, must), (own_rest, rest)
@@ -195,7 +195,7 @@ def with_bounds(a: Tensor, *sides: Tensor) -> list[Tensor]:
 def begin(desired: Tensor, rows: int) -> State:
     """The optimum within the bounds alone, of which those that desired (3, N) is beyond are active.
 
-    Their multipliers are what it is beyond them. From u = u_des the steps would lose as many digits as it is large.
+    Their multipliers are the excess. From u = u_des the steps would lose as many digits as it is large.
     """
     within = desired.clamp(-1.0, 1.0)
     inwards = (within - desired).sign()  # the normals of the bounds
@@ -236,7 +236,7 @@ def step(
     u: Tensor, soft: Tensor, row: Tensor, multiplier: Tensor, entering: Tensor, pressure: Tensor, outcome: Tensor,
     desired: Tensor, a: Tensor, b: Tensor, weight: Tensor,
 ) -> tuple[State, Tensor]:  # fmt: skip
-    """One step: a row becomes active, or an active row that blocks its way leaves. It goes on while that helps.
+    """Makes a row active, or an active row that blocks its way leave; returns (N,) bool, too: not finished.
 
     Args:
         u to outcome: a `State`; a: (R, 3, N) rows; b: (R, N); weight: (R, N) of rows that have slack, else zero.

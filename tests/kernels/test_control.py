@@ -4,6 +4,8 @@ import ctypes
 import math
 import re
 from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
 
 import pytest
 import torch
@@ -187,6 +189,7 @@ def test_lanes_are_kept_full() -> None:
     function = printed(count_down, ONE)
     text = function.waiting.replace("static void loop_0", "long rounds = 0;\nstatic void loop_0", 1)
     text = text.replace("down(on,", "++rounds; down(on,", 1)
+    text = text.replace(waiting.INCLUDE, build.header("waiting.h"))
     library = build.library({"run": "\n".join([build.for_vectors("double"), *function.parts, text])})
     rounds = ctypes.c_long.in_dll(library, "rounds")
     fast = Kernel(function, [ONE], library)
@@ -205,7 +208,7 @@ def test_functions_are_printed_once_by_their_python_names() -> None:
         "odd",
         "collatz_step",
     ]
-    assert "/* Half of it. */\nstatic void halved(M on, const V n[1], V y0[1])" in text.parts[0]
+    assert "/* Half of it. */\nstatic void halved(M on, const V n[1], V result_0[1])" in text.parts[0]
 
 
 def test_functions_of_one_name_are_told_apart() -> None:
@@ -223,6 +226,75 @@ def test_functions_of_one_name_are_told_apart() -> None:
     text = printed(both, x[:, :1])
     assert [part.split("(")[0].split()[-1] for part in text.parts] == ["scaled", "scaled_2", "scaled_3"]
     assert_equal(Compiled(both, x[:, :1])(x), [7.0 * x, 2.0 * x[:1]])
+
+
+def named_like_another() -> tuple[Callable[..., Tensor], Callable[..., Tensor]]:
+    """Two functions of one name, of which one calls the other."""
+
+    def run(x: Tensor) -> Tensor:
+        return x + 1.0
+
+    inner = run
+
+    def run(x: Tensor) -> Tensor:  # type: ignore[no-redef]
+        return call(inner, x) * 2.0
+
+    return inner, run
+
+
+def test_a_function_may_call_another_of_its_name() -> None:
+    """Which is also that of the whole."""
+    outer, x = named_like_another()[1], torch.rand(2, 9, dtype=torch.float64)
+    assert_equal(Compiled(lambda x: [call(outer, x)], x[:, :1])(x), [(x + 1.0) * 2.0])
+
+
+def append(goes_on: Tensor, X: Tensor, exp: Tensor) -> tuple[list[Tensor], Tensor]:
+    return [goes_on + call(lookup, X), X], goes_on[0] < exp[0]
+
+
+class Double(NamedTuple):
+    """A result whose fields C has words for."""
+
+    double: Tensor
+    on: Tensor
+
+
+def lookup(x: Tensor) -> Tensor:
+    found = call(memcpy, x)
+    return found.double - found.on
+
+
+def memcpy(x: Tensor) -> Double:
+    return Double(3.0 * x, x)
+
+
+def test_names_that_c_or_its_headers_have_are_changed() -> None:
+    def whole(x: Tensor, y: Tensor) -> list[Tensor]:
+        found = loop(append, [x, y], 50.0 * y, alive=x[0] > 0.0, most=90, waits=True)
+        return [*found, call(lambda x: 2.0 * x, x), call(partial(Tensor.add, other=1.0), x)]
+
+    given = [
+        torch.rand(1, 40, generator=torch.Generator().manual_seed(i), dtype=torch.float64) for i in (1, 2)
+    ]
+    assert_equal(Compiled(whole, ONE, ONE)(*given), whole(*given))
+
+
+def test_results_are_never_what_was_given() -> None:
+    def changes(x: Tensor) -> list[Tensor]:
+        y, no = x + 1.0, torch.zeros_like(x[0], dtype=torch.bool)
+        (one,) = when(no, lambda y: [y * 2.0], [y], y)
+        (two,) = loop(lambda y: ([y * 2.0], y[0] > 0.0), [y], alive=~no, most=0)
+        one += 1.0
+        two += 2.0
+        return [one, two, y]
+
+    x = torch.rand(1, 9, dtype=torch.float64)
+    assert_equal(Compiled(changes, ONE)(x), [x + 2.0, x + 3.0, x + 1.0])
+
+
+def test_several_calls_in_a_row_are_refused_where_loops_wait() -> None:
+    with pytest.raises(ValueError, match="must be 1 where loops wait"):
+        Compiled(count_down, ONE)(ONE, times=3)
 
 
 def test_a_function_of_single_precision_stays_one() -> None:
@@ -286,6 +358,10 @@ REFUSED: dict[str, tuple[Function, type[Exception], str]] = {
         lambda x: when(x[0] > 0.0, lambda y: [torch.cat((y, y))], [x], x), ValueError, "in the place of",
     ),
     "another type": (lambda x: when(x[0] > 0.0, lambda y: [y > 0.0], [x], x), ValueError, "in the place of"),
+    "an axis looped over beside loops that wait": (
+        lambda x: [*count_down(x), (x - torch.arange(97.0, dtype=torch.float64)[:, None]).abs().amin(0)[None]],
+        NotImplementedError, "in a function with loops that wait",
+    ),
     "values that decide": (
         lambda x: [call(lambda y: y if y[0] > 0.0 else -y, x)], NotImplementedError, "use torch.where",
     ),
@@ -296,7 +372,7 @@ REFUSED: dict[str, tuple[Function, type[Exception], str]] = {
 def test_what_cannot_be_a_body_is_refused(name: str) -> None:
     function, kind, words = REFUSED[name]
     with pytest.raises(kind, match=re.escape(words)):
-        printed(function, ONE)
+        printed(function, ONE, long=97)
     assert calls.active() is None  # and nothing is recorded any more
 
 

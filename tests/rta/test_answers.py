@@ -14,7 +14,7 @@ from inspection.model.attitude import unit
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from kernels.build import NoCompilerError, compiler
-from rta.filter import SOLVERS, SafetyFilter
+from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp.active_set import ActiveSet
 from rta.qp.piqp_solver import PiqpSolver
@@ -22,6 +22,7 @@ from rta.qp.programs import FEASIBLE, Problems, Status
 from rta.qp.scaled import SHORTEST_ROW
 from rta.result import FilterResult
 from tests import golden
+from tests.support.solvers import SOLVERS
 
 C = InspectionParameters()
 UNCHECKED = InspectionParameters(
@@ -184,7 +185,7 @@ WITHOUT_INTERIOR = (
 
 
 def test_a_program_without_an_interior_is_solved() -> None:
-    """Along which PIQP would find its way: it says that it does not."""
+    """Only a corner of the bounds satisfies it: the active-set method solves it, PIQP says that it does not."""
     table = torch.tensor(WITHOUT_INTERIOR, dtype=torch.float64)
     desired = torch.tensor(
         [[-6.318003975758726], [-4.388510483327086], [-5.022443459685187]], dtype=torch.float64

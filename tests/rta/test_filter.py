@@ -23,7 +23,7 @@ from rta.barrier import Rows
 from rta.constraints.constraint import Constraint
 from rta.constraints.names import CONSTRAINTS
 from rta.constraints.thrust import sqrt_floor
-from rta.filter import SOLVERS, SafetyFilter, make_solver
+from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
 from rta.qp.programs import FEASIBLE, Status
 from rta.result import FilterResult
@@ -45,6 +45,7 @@ from tests.oracles import (
 )
 from tests.rta import test_actuator_groups as own
 from tests.support.filters import without_check
+from tests.support.solvers import SOLVERS, make_solver
 
 C = InspectionParameters()
 R = RtaParameters()

@@ -28,15 +28,18 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
     read(in->desired, 6, desired);
 #if TOLD
     double left[6] = {1.0, 1.0, 1.0, 1.0, 1.0, 1.0};
-    double sent[SAFETY_FILTER_SENT_ROOM * 6];
-    for (int k = 0; k < SAFETY_FILTER_SENT_ROOM; ++k) { /* the newest last; NAN: the state is younger */
-        const int from = k - (SAFETY_FILTER_LATENCY - in->sent_count);
-        for (int j = 0; j < 6; ++j) {
-            sent[(6 * k) + j] = ((from < 0) || (too_old != 0)) ? NAN : (double)in->sent[from][j];
-        }
-    }
 #if SAFETY_FILTER_HEALTH
     read(in->left, 6, left);
+#endif
+#if SAFETY_FILTER_LATENCY
+    double sent[SAFETY_FILTER_LATENCY][6]; /* the newest last; NAN before the state was measured */
+    const int count = (too_old != 0) ? SAFETY_FILTER_LATENCY : in->sent_count;
+    for (int k = 0; k < SAFETY_FILTER_LATENCY; ++k) {
+        const int from = k - (SAFETY_FILTER_LATENCY - count);
+        for (int j = 0; j < 6; ++j) {
+            sent[k][j] = (from < 0) ? NAN : (double)in->sent[from][j];
+        }
+    }
 #endif
 #endif
     filter(state, desired, TOLD_ARGUMENTS control, intervened, &out->verified, &out->backup, out->active, slack, status,
@@ -45,9 +48,9 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
     write(slack, SAFETY_FILTER_CONSTRAINTS, out->slack);
     write(h, SAFETY_FILTER_CONSTRAINTS, out->h);
     for (int group = 0; group < 2; ++group) {
-        out->program_status[group] = (too_old != 0) ? SAFETY_FILTER_UNSOLVED : (int)program_status[group];
+        out->program_status[group] = (too_old != 0) ? (int)SAFETY_FILTER_UNSOLVED : (int)program_status[group];
     }
-    out->status = (too_old != 0) ? SAFETY_FILTER_UNSOLVED : (int)status[0];
+    out->status = (too_old != 0) ? (int)SAFETY_FILTER_UNSOLVED : (int)status[0];
     out->verified = (too_old != 0) ? 0 : out->verified;
     out->violated = 0;
     for (int k = 0; k < SAFETY_FILTER_CONSTRAINTS; ++k) {

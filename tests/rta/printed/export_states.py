@@ -145,14 +145,13 @@ class Comparison(NamedTuple):
     Attributes:
         other_status: a program's status differs, or what the check says; control: in units of the actuators' limits;
             h: relative to those above 1, 0 where the state is none; unsolved: a program of a state that is one is
-            unsolved in both; in_one: in one alone, which PIQP may solve, that the C does not have.
+            unsolved in both.
     """
 
     other_status: Tensor
     control: Tensor
     h: Tensor
     unsolved: Tensor
-    in_one: Tensor
 
 
 def compared(x: Tensor, one: Answers, other: Answers, limit: Tensor) -> Comparison:
@@ -165,5 +164,4 @@ def compared(x: Tensor, one: Answers, other: Answers, limit: Tensor) -> Comparis
         ((one.control - other.control).abs() / limit[:, None]).amax(0),
         torch.where(sound, h, 0.0),
         (mine & others).any(0) & sound,
-        (mine != others).any(0) & sound,
     )

@@ -44,7 +44,7 @@ CROSS = {
 PARTS = ("safety_filter.h", "safety_filter.c", "example.c")
 LARGEST_STACK = 64_000  # B, of all calls together
 # Of MISRA C:2012 as cppcheck knows it; docs/guides/export.md says why each stands.
-DEVIATIONS = ("2.4", "2.5", "8.9", "9.3", "10.3", "10.6", "14.1")
+DEVIATIONS = ("2.4", "2.5", "5.6", "8.7", "8.9", "9.3", "10.3", "10.6", "12.1", "14.1")
 
 
 def campaign(*values: Any) -> Any:
@@ -137,13 +137,11 @@ def optimised() -> tuple[str, ...]:
 
 
 def assert_same(safety_filter: SafetyFilter, x: Tensor, expected: Answers, found: Answers) -> None:
-    """Statuses and checks are equal, controls and values to 1e-9, of unsolved calls, too. PIQP may solve more."""
+    """Statuses and checks are equal, controls and values to 1e-9, of unsolved calls, too."""
     limit = torch.tensor(safety_filter.c.control_limit, dtype=torch.float64)
     result = compared(x, expected, found, limit)
-    same = ~result.in_one
-    assert result.in_one.sum() <= len(same) / 1000
-    assert not (result.other_status & same).any()
-    assert result.control[same].max() <= 1e-9 and result.h.max() <= 1e-9
+    assert not result.other_status.any()
+    assert result.control.max() <= 1e-9 and result.h.max() <= 1e-9
     assert (found.control.abs() <= limit[:, None]).all()
 
 
@@ -339,13 +337,16 @@ def test_the_stack_is_bounded_and_nothing_recurses(
 
 @pytest.mark.parametrize("kind", ["1", campaign("u1_thrust_quantum")])
 def test_it_keeps_misras_rules(kind: str, exported: Callable[..., Made], tmp_path: Path) -> None:
-    """But for DEVIATIONS. Printed rows take cppcheck hours: the printed model, of the same making, stands for them."""
+    """But for DEVIATIONS. Printed functions take cppcheck hours: the model, printed likewise, stands for them."""
     if run(tool("cppcheck"), "--addon=misra", os.devnull).returncode:
         pytest.skip("cppcheck has no rules of MISRA here")
     directory = exported(kind).directory
     shutil.copy(directory / "safety_filter.h", tmp_path)
     text, example = ((directory / name).read_text() for name in ("safety_filter.c", "example.c"))
-    (tmp_path / "driver.c").write_text(text[: text.rindex("\n/* ---- ")])
+    head = '#include <math.h>\n#include "safety_filter.h"\ntypedef double V;\ntypedef int M;\n'
+    order = text[text.index("static void filter(") :]
+    prototype = order[: order.index("\n{")] + ";\n"
+    (tmp_path / "call.c").write_text(head + prototype + text[text.index("#define TOLD") :])
     (tmp_path / "model.c").write_text(
         "#include <math.h>\n" + example[example.index("typedef double real;") :]
     )
@@ -354,7 +355,7 @@ def test_it_keeps_misras_rules(kind: str, exported: Callable[..., Made], tmp_pat
         f"--suppress={name}"
         for name in ("missingIncludeSystem", "unusedStructMember", "knownConditionTrueFalse")
     ]
-    checked = [tmp_path / "driver.c", *([tmp_path / "model.c"] if kind == "1" else [])]
+    checked = [tmp_path / "call.c", *([tmp_path / "model.c"] if kind == "1" else [])]
     succeed(
         "cppcheck", "--std=c99", "--enable=style", "--addon=misra", *rules, "--error-exitcode=1", *checked
     )

@@ -8,11 +8,11 @@ import torch
 from numpy import ndarray
 from scipy.optimize import nnls
 
-from rta.filter import SOLVERS, make_solver
 from rta.qp import programs as qp
 from rta.qp.piqp_solver import lhs
 from rta.qp.programs import FEASIBLE, Solver, Status, least_violating
 from tests.oracles import INF, Problems, given_slack, projection, with_slack
+from tests.support.solvers import SOLVERS, make_solver
 
 
 @pytest.fixture(params=SOLVERS)
