@@ -122,6 +122,7 @@ class SafetyFilter(Fixed):
         self.names = in_order(thrust, torque)
         if len(set(self.names)) < len(self.names):
             raise ValueError(f"constraints {', '.join(self.names)}: each name must be there once")
+        self._has_bounds = not uncertainty.is_zero
         self.compiled: Kernel | None = None
         self._has_tried = False
         self._is_compiled = False
@@ -314,7 +315,7 @@ class SafetyFilter(Fixed):
 
     def told(self, x: Tensor, sent: Tensor | None, left: Tensor | None) -> tuple[Tensor, ...]:
         """What counts beside states: the newest controls sent (latency, 6, B), and what is left (6, B)."""
-        if self.uncertainty.is_zero:
+        if not self._has_bounds:
             return ()
         count = 0 if sent is None else min(len(sent), self.uncertainty.latency)
         never = x.new_full((self.uncertainty.latency - count, CONTROL_SIZE, x.shape[1]), torch.nan)
