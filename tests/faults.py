@@ -622,7 +622,7 @@ IN_C = [  # what is printed; what is computed is written once, in Python
         "kernels/test_control.py -k bits_are or goes_round",
         ("memcpy(ready, wants, sizeof *wants * count);", ""),
         ("for (int k = 0; k < most && count > 0; ++k) {", "for (int k = 0; count > 0; ++k) {"),
-        ("first + lane < count; ++lane) {", "first + lane <= count; ++lane) {"),
+        ("first + lane < count; ++lane) {", "first + lane + 1 < count; ++lane) {"),
         ("count += work->waits[i];", ""),
         ("there = segments[i](work, ready, count, list, there);", ""),
     ),
