@@ -3,8 +3,7 @@
 Called with tensors, they compute: a loop's body runs only on the columns that still go on. While a function is recorded
 (`kernels.recorder`), they become loops and functions of C that give the same bits. In C a vector of columns goes round
 a loop until all its columns have ended; results of columns that ended earlier are dropped. A loop with `waits=True`
-keeps
-its lanes full: a column leaves when its own loop ends, and another column takes its lane (`kernels.waiting`).
+keeps its lanes full: a column leaves when its own loop ends, and another column takes its lane (`kernels.waiting`).
 
 A body must receive every tensor that it computes with as an argument, alone or in tuples and lists: tensors of the
 function around it have other columns. Other arguments are the same for all columns.

@@ -8,8 +8,8 @@ The method starts at u_des clipped to the bounds; bounds that u_des exceeds are 
 row becomes active, or an active row whose multiplier has fallen to zero leaves. The method ends when no row is violated
 (optimal), or when the active rows exclude the next one (infeasible).
 
-An active row with slack has delta_i = -(a_i u + b_i), and the multiplier w_i delta_i. It restricts no
-control, but adds its cost to the Hessian,
+An active row with slack has delta_i = -(a_i u + b_i), and the multiplier w_i delta_i. It restricts no control, but
+adds its cost to the Hessian,
 
     H = 1 + sum_i w_i a_i a_i'   over active rows with slack.
 
