@@ -81,7 +81,7 @@ def test_every_page_that_the_code_names_is_there() -> None:
 
 def commands(page: str) -> Iterator[list[str]]:
     """The words of every command on a page, and of every line of a program there, in their order."""
-    for line in text(page).splitlines():
+    for line in text(page).replace("\\\n", " ").splitlines():
         for command in line.split("&&"):
             if re.match(r"\s*(python (?!-m timeit)|torchrun |tensorboard )", command):
                 yield shlex.split(command, comments=True)
