@@ -47,7 +47,7 @@ def uncompiled(safety_filter: "SafetyFilter") -> "SafetyFilter":
 
 
 def recorded(safety_filter: "SafetyFilter", single: bool) -> Printed:
-    """Prints `SafetyFilter.answer` of a copy, whose solver is replaced, as C.
+    """Prints `SafetyFilter.answer` as C.
 
     Args:
         single: for one spacecraft, whose programs wait for no others.
@@ -55,10 +55,12 @@ def recorded(safety_filter: "SafetyFilter", single: bool) -> Printed:
     solver = solver_of(safety_filter.groups)
     if single:
         solver.attempted = 0
-    safety_filter.propose.solver = solver
+    own, propose = copy(safety_filter), copy(safety_filter.propose)
+    propose.solver = solver
+    object.__setattr__(own, "propose", propose)
 
     def answer(*given: Tensor) -> list[Tensor]:
-        return list(vars(safety_filter.answer(*given)).values())
+        return list(vars(own.answer(*given)).values())
 
     given = examples(safety_filter)
     return printed(answer, *given, name="filter", names=(GIVEN[: len(given)], FOUND), single=single)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 import main
 from inspection.chief.hull import with_hull
+from kernels import build
 from kernels.printer import Printed, printed
 from rta.filter import SafetyFilter
 from rta.printed import batch
@@ -76,7 +77,8 @@ def calls_of_filter(name: str, monkeypatch: pytest.MonkeyPatch) -> list[Call]:
         raise StopError
 
     monkeypatch.setattr(batch, "printed", spy)
-    monkeypatch.setattr(batch, "library", library)
+    for module in (batch, build):  # of a filter with flights of the check; of any other
+        monkeypatch.setattr(module, "library", library)
     # nothing is printed where an earlier run's recording is found
     monkeypatch.setattr(batch, "remembered", lambda function, *given: function(*given))
     with pytest.raises(StopError):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from rta.constraints.names import CONSTRAINTS
 from rta.qp.programs import Problems, Solutions
@@ -80,9 +81,11 @@ def test_a_flight_again_that_comes_out_otherwise_fails(
     assert "not what was recorded" in err and str(path) in err
 
 
-def rounded(solve: Callable[[Problems], Solutions], asked: Problems) -> Solutions:
+def rounded(
+    solve: Callable[[Problems, Tensor | None], Solutions], asked: Problems, wanted: Tensor | None = None
+) -> Solutions:
     """The answer of a solver that ends a little elsewhere."""
-    answer = solve(asked)
+    answer = solve(asked, wanted)
     return replace(answer, control=answer.control + 1e-8)
 
 
