@@ -55,9 +55,8 @@ def recorded(safety_filter: "SafetyFilter", single: bool) -> Printed:
     solver = solver_of(safety_filter.groups)
     if single:
         solver.attempted = 0
-    own, propose = copy(safety_filter), copy(safety_filter.propose)
-    propose.solver = solver
-    object.__setattr__(own, "propose", propose)
+    own = uncompiled(safety_filter)
+    own.propose.solver = solver
 
     def answer(*given: Tensor) -> list[Tensor]:
         return list(vars(own.answer(*given)).values())
