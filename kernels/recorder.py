@@ -24,7 +24,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from kernels.operations.aten import Operations
 from kernels.operations.expressions import MASK, NUMBER, Program, Value, kind_of
 from kernels.operations.shapes import filled
-from kernels.parts import TYPES, Called, Part, element
+from kernels.parts import TYPES, Called, Part, element, tensors_in
 
 INTEGERS = {torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8}  # numbers without a fraction here
 PLACES_AND_TYPES = {"dtype", "device", "layout", "pin_memory", "memory_format", "implicit", "non_blocking"}
@@ -166,13 +166,13 @@ class Recorder(TorchDispatchMode):
         name, is_random, is_by_values = said_of(function)
         given = self.values(args)
         options = {key: self.values(each) for key, each in kwargs.items() if key not in PLACES_AND_TYPES}
-        operands = [*tensors(args), *tensors(kwargs)]
+        operands = tensors_in([*args, *kwargs.values()])
         fixed = all(self.is_fixed(each) for each in operands)
         if is_random:
             raise NotImplementedError("of random numbers")
         if is_by_values and not fixed:
             raise NotImplementedError(BRANCH)
-        own = [each for each in tensors(result) if not each.is_meta]  # which has no numbers
+        own = [each for each in tensors_in(result) if not each.is_meta]  # which has no numbers
         if not own:
             return
         self.operations.axes.given = [tuple(each.shape) for each in operands]
@@ -186,7 +186,7 @@ class Recorder(TorchDispatchMode):
         elif name.removesuffix("_") not in self.operations.by_name and function in decompositions():
             with self:  # what it is made of
                 found = decompositions()[function](*args, **kwargs)
-            for tensor, part in zip(own, tensors(found), strict=True):
+            for tensor, part in zip(own, tensors_in(found), strict=True):
                 self.put(tensor, self.values(part))
         else:
             found = self.operations.call(name.removesuffix("_"), *given, **options)
@@ -274,7 +274,7 @@ def evaluated(
             results = function(*inputs)
         finally:
             ACTIVE.all.pop()
-    return results, [recorder.values(each) for each in tensors(results)]
+    return results, [recorder.values(each) for each in tensors_in(results)]
 
 
 def argument(recorder: Recorder, part: Part) -> ndarray:
@@ -299,17 +299,6 @@ def decompositions() -> Mapping[Any, Callable[..., Any]]:
 def whole(p: Program, value: Value) -> Value:
     """A number without its fraction."""
     return p.number(value) if kind_of(value) == MASK else p.call("trunc", value)
-
-
-def tensors(given: Any) -> list[Tensor]:
-    """All tensors among arguments, in order."""
-    if isinstance(given, Tensor):
-        return [given]
-    if isinstance(given, dict):
-        given = given.values()
-    elif not isinstance(given, list | tuple):
-        return []
-    return [tensor for each in given for tensor in tensors(each)]
 
 
 def check_type(dtype: torch.dtype) -> None:
