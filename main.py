@@ -41,6 +41,9 @@ if TYPE_CHECKING:  # help and refusals do not wait for PyTorch, which the comman
 COMMANDS: dict[str, Callable[[Namespace], None]] = {}
 DECLARED: dict[str, Callable[[Any], None]] = {}  # what adds each command to the parser
 
+# What may be taken off with `rm -r` (docs/reference/layout.md).
+WINGS = ("rta.robust", "rta.fast", "kernels", "study.web", "study.export", "interfaces", "experiments")
+
 # Names of flags beside --table.key, which every setting has; what is changed most often comes first.
 SHORT = {
     "--rta": "train.rta",
@@ -484,7 +487,7 @@ def run_play(given: Namespace) -> None:
     settings=(*FILTER, *MACHINE),
 )
 def run_filter(given: Namespace) -> None:
-    from rta.qp.programs import Status
+    from rta.result import Status
     from study.flight import offline_filter
 
     if os.path.realpath(given.states) == os.path.realpath(given.out):
@@ -806,11 +809,17 @@ def run(given: Namespace) -> None:
             with as_input_error(f"--{name} {str(path)!r}: cannot write it", OSError, ValueError):
                 check_writable(path)
     set_threads(given.threads)
-    if given.cache_dir:
-        from kernels.build import VARIABLE
+    try:
+        if given.cache_dir:
+            from kernels.build import VARIABLE
 
-        os.environ[VARIABLE] = given.cache_dir
-    COMMANDS[given.command](given)
+            os.environ[VARIABLE] = given.cache_dir
+        COMMANDS[given.command](given)
+    except ModuleNotFoundError as error:
+        missing = error.name or ""
+        if not missing.startswith(WINGS):
+            raise
+        raise InputError(f"{given.command}: needs {missing.replace('.', '/')}, which is not here") from None
 
 
 def complain(reason: str, code: int, event: str = "") -> int:

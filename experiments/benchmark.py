@@ -9,7 +9,6 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping
-from copy import copy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,17 +27,12 @@ from interfaces.vector import VectorInspection6DoF
 from kernels.build import VARIABLE
 from kernels.compiled import Compiled
 from ppo.learner import PPO
+from rta.fast.filter import fast
 from rta.filter import SafetyFilter
-from rta.flown_paper import FlownPaperFilter
-from rta.parameters import PERIODS
-from rta.propose import demanded
-from rta.qp.active_set import ActiveSet
-from rta.qp.piqp_solver import PiqpSolver
-from rta.qp.programs import Problems
-from rta.qp.scaled import scale_rows, to_qp
+from rta.parameters import PERIODS, RtaParameters
 from settings import load, override
 from study.config import Config
-from study.experiment import AnyFilter, Experiment, check_is_checked, load_policy
+from study.experiment import Experiment, check_is_checked
 from study.files import ROOT
 from study.machine import compile_or_explain, wants_compile
 from study.verification import measure as demands
@@ -46,18 +40,15 @@ from study.verified import code_digest, fingerprint
 
 BATCHES = (256, 1024, 4096, 16384, 65536)
 TYPICAL = {"cpu": 4096, "cuda": 65536}  # the batch of the headline numbers
-PROGRAMS, TYPICAL_PROGRAMS = (1, 16, 64, 256, 1024, 4096), 1024  # solved at once
 REPEATS = 5  # of a measurement
 SHORTEST = 0.05  # s that a repeat lasts at least: clocks and schedulers are coarse
-EPISODES, STEPS = 256, 60  # flown to record states, controls and programs, from a typical half of them on
-RECORDED = 16_384  # states whose programs are kept
+EPISODES, STEPS = 256, 60  # flown to record states and controls, from a typical half of them on
 FLOWN = 1024  # spacecraft under random demands
 WARM_CALLS, SINGLE_CALLS = 50, 1000
 SAMPLES = 16_384  # of an update, at least
 PARTS_STEPS = 10  # environment steps whose parts are timed
 MATRIX = 1024  # rows and columns
 PARTS = ("total", "filter", "integration", "visibility and k-means", "agent", "rest")
-TRAINED = ROOT / "runs/reference/from_nothing/rta/seed0/policy.pt"
 U1 = ROOT / "configs/plants/u1.toml"
 # Okabe and Ito's
 PALETTE = ("#0072B2", "#000000", "#D55E00", "#E69F00", "#CC79A7", "#009E73", "#56B4E9", "#666666", "#F0E442")
@@ -137,14 +128,6 @@ def untrained(experiment: Experiment) -> Agent:
     return lambda observation: policy.shaped(policy.sample(observation[None], generators)[0])[0]
 
 
-def trained(experiment: Experiment) -> tuple[Experiment, Agent]:
-    """Returns the shipped agent, and the experiment with what it observes; the filter is shared."""
-    policy, config = load_policy(TRAINED)
-    policy, seeing = policy.to(experiment.device), copy(experiment)
-    seeing.task = replace(experiment.task, observed=config.inspection.observed)
-    return seeing, lambda observation: policy.mean_action(observation[None])[0]
-
-
 def record(experiment: Experiment, agent: Agent) -> tuple[Tensor, Tensor]:
     """Plays EPISODES from the initial distribution.
 
@@ -177,17 +160,6 @@ def start(env: InspectionEnv, x: Tensor) -> Tensor:
     """Puts states (16, N) that were met in flight into every episode; returns the observations."""
     count = env.time.numel()
     return env.start(repeated(x, count), repeated(torch.eye(3).to(x), count))
-
-
-def programs(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> list[Problems]:
-    """Returns what must be solved at states (16, B) with desired controls (6, B), by actuator group."""
-    projected, control, _ = demanded(desired, safety_filter.groups)
-    found = []
-    for group in safety_filter.groups:
-        rows = scale_rows(group, x, control)
-        unsafe = torch.nonzero(~(rows.lowest >= 0.0)).flatten()
-        found.append(Problems(*to_qp(group, rows, projected[group.controls]), group.weights)[unsafe])
-    return [part for part in found if part.desired.numel()]
 
 
 # how fast
@@ -263,19 +235,19 @@ def filter_rate(safety_filter: SafetyFilter, x: Tensor, desired: Tensor, batch: 
 
     Where states may be old the filter is given the controls sent since, all zero: as much to compute as any.
     """
-    sent = desired.new_zeros(safety_filter.uncertainty.latency, CONTROL_SIZE, batch)
-    call = partial(safety_filter.correct, repeated(x, batch), repeated(desired, batch), sent)
+    sent = [repeated(torch.zeros_like(part), batch) for part in safety_filter.probe(x.device)[2:]]
+    call = partial(safety_filter.correct, repeated(x, batch), repeated(desired, batch), *sent)
     return per_second(call, batch, x.device)
 
 
-def paper_filter_rates(paper: FlownPaperFilter, x: Tensor, desired: Tensor, batch: int) -> dict[str, Spread]:
+def paper_filter_rates(paper: SafetyFilter, x: Tensor, desired: Tensor, batch: int) -> dict[str, Spread]:
     """Measures calls per s of the paper's filter: where every call has a program to solve, and where every third has.
 
     Args:
         x, desired: states (16, N) and controls (6, N), of which some have one.
     """
     limit = x.new_tensor(paper.c.control_limit)[:, None]
-    a, b, *_ = paper.evaluated(x)
+    a, b, *_ = paper.program.evaluated(x)
     has_program = ((a * desired.clamp(-limit, limit)).sum(1) + b < 0.0).any(0)
     asked, passed = (torch.nonzero(each).flatten() for each in (has_program, ~has_program))
     third = torch.arange(batch, device=x.device) % 3 == 0
@@ -287,7 +259,7 @@ def paper_filter_rates(paper: FlownPaperFilter, x: Tensor, desired: Tensor, batc
     }
 
 
-def single_latencies(safety_filter: AnyFilter, *met: Tensor) -> list[float]:
+def single_latencies(safety_filter: SafetyFilter, *met: Tensor) -> list[float]:
     """Returns the ms of SINGLE_CALLS filter calls, sorted, all of other spacecraft, NumPy in and out."""
     given = (repeated(part, WARM_CALLS + SINGLE_CALLS).numpy(force=True).T.copy() for part in met)
     calls = [partial(safety_filter, *pair) for pair in zip(*given, strict=True)]
@@ -298,29 +270,6 @@ def random_demands(config: Config, where: str) -> Spread:
     """Measures microseconds per filter call, in flights of a minute under random demands from these starts."""
     flights = [demands.measure(config, "random", where, FLOWN, 60.0) for _ in range(3)]
     return us(spread([flight["calls_per_s"] for flight in flights]))
-
-
-def solver_rate(solvers: list[Callable[[Problems], Any]], met: list[Problems], batch: int) -> Spread:
-    """Measures programs per s where a call of an actuator group's solver is given `batch` of them."""
-    parts = [part[repeated(torch.arange(part.desired.shape[1], device=part.a.device), batch)] for part in met]
-
-    def solve() -> None:
-        for solver, part in zip(solvers, parts, strict=True):
-            solver(part)
-
-    return per_second(solve, batch * len(parts), parts[0].a.device)
-
-
-def in_c(problems: Problems) -> Callable[[Problems], Any]:
-    """Returns the active-set method compiled for programs like these."""
-    first = problems[torch.zeros(1, dtype=torch.int64, device=problems.a.device)]
-
-    def solve(*parts: Tensor) -> list[Tensor]:
-        desired, a, b, b_no_margin = parts
-        return list(vars(ActiveSet().solve(Problems(desired, a, b, b_no_margin, first.weight))).values())
-
-    run = Compiled(solve, first.desired, first.a, first.b, first.b_no_margin, batch=TYPICAL_PROGRAMS)
-    return lambda part: run(part.desired, part.a, part.b, part.b_no_margin)
 
 
 def fresh_learner(experiment: Experiment, **settings: Any) -> PPO:
@@ -360,10 +309,10 @@ def learner_flops(learner: PPO) -> float:
 
 def compile_times(bare: Experiment, robust: Experiment, batch: int) -> dict[str, float]:
     """Returns the s that compiling filter and simulator takes with an empty cache, and that of a filter with bounds."""
-    parts: dict[str, Callable[[], None]] = {
-        "filter": partial(bare.checked_filter.compile, bare.device, batch),
-        "simulator": bare.env(batch).compile,
-        "filter with [uncertainty]": partial(robust.checked_filter.compile, robust.device, batch),
+    parts: dict[str, Callable[[], Any]] = {
+        "filter": partial(fast, bare.checked_filter, bare.device, batch),
+        "simulator": partial(bare.env(batch).compile, Compiled),
+        "filter with [uncertainty]": partial(fast, robust.checked_filter, robust.device, batch),
     }
     with tempfile.TemporaryDirectory() as empty, patch.dict(os.environ, {VARIABLE: empty}):
         return {
@@ -391,7 +340,7 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
         The content of `benchmark --json`. Headline numbers are medians, rates those at the batch of `batches`
         next to TYPICAL, the learner's at that next to its minibatch. `min_max` has the smallest and largest
         measurement of each under the same key; `scaling` has all three by batch: environments, spacecraft or
-        samples at once, or programs for `qp_us`. `closed_loop_us` has `parts_of_a_step` by batch, `compile_s` what
+        samples at once. `closed_loop_us` has `parts_of_a_step` by batch, `compile_s` what
         `compile_times` says, `random_call_us` us a call under random demands, `filter` what filters were measured.
     """
     check_is_checked(config)
@@ -420,9 +369,9 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
     agent = untrained(experiment)
     met = record(experiment, agent)
     robust_met = record(robust, agent)  # the other filter leads to states that this one keeps away from
-    paper = FlownPaperFilter(config.inspection)
+    paper = SafetyFilter(config.inspection, RtaParameters(filter="paper"))
     if compiled:
-        compile_or_explain("the paper's filter", partial(paper.compile, device, typical))
+        paper = fast(paper, device, typical)
     papers = paper_filter_rates(paper, *met, typical)
     single = {
         "paper_filter_latency_ms": single_latencies(paper, *met),
@@ -440,34 +389,16 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
         for name, rate in rates.items():
             curves["gymnasium_steps_per_s", name][n] = rate
         for name, at_period in experiments.items():
-            # where controls are held, more at once take a minute and are no faster
-            if not at_period.checked_filter.is_sampled or n <= typical:
-                env = at_period.env(n, compiled=at_period.compiled)
-                curves["closed_loop_steps_per_s", name][n] = closed_loop_rate(env, met[0], agent)
+            env = at_period.env(n, compiled=at_period.compiled)
+            curves["closed_loop_steps_per_s", name][n] = closed_loop_rate(env, met[0], agent)
         curves["filter_calls_per_s",][n] = filter_rate(experiment.checked_filter, *met, n)
         if n <= typical:
             curves["told_filter_calls_per_s",][n] = filter_rate(robust.checked_filter, *robust_met, n)
         for name, spent in parts_of_a_step(experiment, n, met[0], agent).items():
             parts[name][n] = spent
 
-    say("solvers")
-    flights = met, record(*trained(experiment))
-    asked = [
-        part
-        for x, u in flights
-        for part in programs(experiment.checked_filter, x[:, :RECORDED], u[:, :RECORDED])
-    ]
-    active_set = [in_c(part) if compiled else ActiveSet().solve for part in asked]
-    solvers: dict[str, list[Callable[[Problems], Any]]] = {
-        "piqp": [PiqpSolver().solve] * len(asked),
-        "batched": active_set,
-    }
-    for name, each in solvers.items():
-        for n in PROGRAMS:
-            curves["qp_us", name][n] = us(solver_rate(each, asked, n))
-
     minibatch = nearest(batches, config.ppo.minibatch_size)
-    counts = {"learner_samples_per_s": minibatch, "qp_us": TYPICAL_PROGRAMS}
+    counts = {"learner_samples_per_s": minibatch}
     headline = {path: by_count[counts.get(path[0], typical)] for path, by_count in curves.items()}
     headline |= {("random_call_us", name): spent for name, spent in random_us.items()}
     headline |= {("paper_filter_calls_per_s", name): rate for name, rate in papers.items()}
@@ -533,7 +464,6 @@ LABELS = {
     "simulator_steps_per_s": "simulator steps",
     "closed_loop_steps_per_s": "closed-loop steps, {} s",
     "learner_samples_per_s": "learner samples",
-    "qp_us": "{} programs",
 }
 
 
@@ -545,12 +475,12 @@ def figure(results: dict[str, Any], file: Path | BinaryIO) -> None:
     for key, label in LABELS.items():
         found = results["scaling"][key]
         for name, by_count in found.items() if "{}" in label else [("", found)]:
-            rates = [us(rate) if key == "qp_us" else rate for rate in by_count.values()]
+            rates = list(by_count.values())
             marker, colour = next(style)
             medians = [rate["median"] for rate in rates]
             ax.plot(list(by_count), medians, marker=marker, color=colour, label=label.format(name))
     ax.set(xscale="log", yscale="log", ylabel="per second")
-    ax.set_xlabel("at once (episodes, spacecraft, samples, programs)")
+    ax.set_xlabel("at once (episodes, spacecraft, samples)")
     ax.grid(True, which="major", alpha=0.4)
     threads = "1 thread" if results["threads"] == 1 else f"{results['threads']} threads"
     ax.set_title(f"{results['device']}, {threads}", fontsize=10)

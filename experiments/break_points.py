@@ -2,8 +2,7 @@
 
 `main.py break-points`. Each world is flown like a campaign of `study.verification.campaign`, once with its errors held
 at a corner of their bounds and once with the worst. The break point of a limit is the smallest size tried at which an
-episode violated it in either; a size holds where none did and the filter checks motion and attitude. Where it does not
-check both, what was flown says nothing of other flights: that size is unchecked.
+episode violated it in either; a size holds where none did. Bounds for which no check is known are refused.
 """
 
 import dataclasses
@@ -18,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from inspection.world.parameters import PlantParameters
-from rta.constraints.names import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
+from rta.names import CONSTRAINTS
 from settings import InputError, override
 from study.config import Config
 from study.experiment import Experiment, check_is_checked
@@ -27,9 +26,14 @@ from study.flight.figures import GREY, SAFE, UNSAFE
 from study.machine import bar
 from study.verification.campaign import looking_ahead, run
 from study.verification.findings import WIDTH, Campaign, report_in
-from study.verified import fingerprint
+from study.verified import fingerprint, gains_of
 
-HATCHED: dict[str, Any] = {"fill": False, "hatch": "///", "ec": "0.75", "lw": 0}  # a cell that is not checked
+HATCHED: dict[str, Any] = {
+    "fill": False,
+    "hatch": "///",
+    "ec": "0.75",
+    "lw": 0,
+}  # a cell of which a size was not flown
 COLUMNS = {
     "separation": ("collision",),
     "speed": ("dynamic_speed",),
@@ -115,13 +119,13 @@ def empty_report(worlds: Any, config: Config) -> dict[str, Any]:
     """Returns a report of no worlds, the form of `break-points --json`.
 
     `worlds` has of each its effect, size, whether the filter was told, and either `violating_episodes` by limit, of all
-    ERRORS, how many filter calls were unsolved, and what the filter left `unchecked`, or `refused`, why there was
-    nothing to fly.
+    ERRORS, and how many filter calls were unsolved, or `refused`, why there was nothing to fly.
     """
     return {
         "campaign": dataclasses.asdict(worlds),
         "worlds": [],
         "fingerprint": fingerprint(config),
+        "gains": gains_of(),
         "config": dataclasses.asdict(config),
     }
 
@@ -164,7 +168,7 @@ def fly_world(worlds: Worlds, config: Config, effect: Effect, size: float, told:
         candidates=candidates,
         horizon=horizon,
     )
-    violating, unsolved, unchecked = Counter(dict.fromkeys((*CONSTRAINTS, "any"), 0)), 0, list[str]()
+    violating, unsolved = Counter(dict.fromkeys((*CONSTRAINTS, "any"), 0)), 0
     for errors in ERRORS:
         tables = {"plant": effect.plant(size) | {"errors": errors}}
         if told:
@@ -179,71 +183,44 @@ def fly_world(worlds: Worlds, config: Config, effect: Effect, size: float, told:
             return {"refused": str(refused)}
         violating.update(report["violating_episodes"])
         unsolved += report["filter_calls"]["unsolved"]
-        unchecked = experiment.filter.unchecked
-    return {"violating_episodes": dict(violating), "unsolved": unsolved, "unchecked": unchecked}
+    return {"violating_episodes": dict(violating), "unsolved": unsolved}
 
 
 class Outcome(NamedTuple):
     """What came of an effect, told or not, by size; None where there is no such size.
 
     Attributes:
-        held: the largest below what broke, was refused or is unchecked.
+        held: the largest below what broke or was refused.
         broken: by column of COLUMNS, the smallest that violated one of its limits.
-        refused, unchecked: the smallest that was refused, and that left motion or attitude unchecked; open: which.
+        refused: the smallest that was refused.
     """
 
     held: float | None
     broken: dict[str, float]
     refused: float | None
-    unchecked: float | None
-    open: list[str]
 
 
 def outcome(report: dict[str, Any], effect: str, told: bool) -> Outcome:
     """Returns what a report says of an effect."""
     worlds = [world for world in report["worlds"] if world["effect"] == effect and world["told"] == told]
-    held, broken, refused, unchecked = (
-        None,
-        dict[str, float](),
-        list[float](),
-        list[tuple[float, list[str]]](),
-    )
+    held, broken, refused = None, dict[str, float](), list[float]()
     holds = True
     for world in sorted(worlds, key=lambda world: world["size"]):
         size, counts = world["size"], world.get("violating_episodes", {})
         if "refused" in world:
             refused.append(size)
-        # the check of a filter that is told of nothing says nothing of the effect
-        if told and world.get("unchecked"):
-            unchecked.append((size, world["unchecked"]))
         for column, limits in COLUMNS.items():
             if any(counts.get(name) for name in limits):
                 broken.setdefault(column, size)
-        holds = holds and not (refused or unchecked or broken)
+        holds = holds and not (refused or broken)
         held = size if holds else held
-    first, which = unchecked[0] if unchecked else (None, [])
-    return Outcome(held, broken, refused[0] if refused else None, first, which)
-
-
-def unchecked_columns(report: dict[str, Any], effect: str, told: bool) -> set[str]:
-    """Returns the columns whose limits are unchecked, or not flown, at one of the sizes.
-
-    The check of a filter that is told of nothing says nothing of the effect: there flights alone count.
-    """
-    worlds = [world for world in report["worlds"] if (world["effect"], world["told"]) == (effect, told)]
-    if any("refused" in world for world in worlds):
-        return set(COLUMNS)
-    groups = {name for world in worlds if told for name in world["unchecked"]}
-    limits = {*(TRANSLATIONAL if "motion" in groups else ()), *(ATTITUDE if "attitude" in groups else ())}
-    return {name for name, own in COLUMNS.items() if limits & set(own)}
+    return Outcome(held, broken, refused[0] if refused else None)
 
 
 def said(report: dict[str, Any], effect: str, told: bool) -> str:
-    """Says of an effect the last size that held, from where it is unchecked or refused, and what broke first."""
+    """Says of an effect the last size that held, what broke first, and from where it is refused."""
     found = outcome(report, effect, told)
     text = "holds none" if found.held is None else f"holds {found.held:g}"
-    if found.unchecked is not None:
-        text += f", unchecked from {found.unchecked:g} ({' and '.join(found.open)})"
     if found.broken:
         least = min(found.broken.values())
         first = [column.replace("\n", " ") for column in COLUMNS if found.broken.get(column) == least]
@@ -264,25 +241,22 @@ def table(report: dict[str, Any]) -> str:
 def figure(report: dict[str, Any]) -> Figure:
     """Draws two panels, without and with `[uncertainty]`: effects by limits, in each cell the size that broke it.
 
-    Green cells were checked at every size, hatched ones from some size on were not.
+    Green cells were flown at every size; hatched ones were refused from some size on.
     """
     fig = Figure(figsize=(11.0, 9.5), layout="constrained")
     effects = list(dict.fromkeys(world["effect"] for world in report["worlds"]))
     for i, (ax, told) in enumerate(zip(fig.subplots(2, 1), (False, True), strict=True)):
         for row, effect in enumerate(effects):
             found, sizes = outcome(report, effect, told), EFFECTS[effect].sizes
-            unchecked = unchecked_columns(report, effect, told)
             for column, name in enumerate(COLUMNS):
                 broken = name in found.broken
-                colour = UNSAFE if broken else "white" if name in unchecked else SAFE
+                colour = UNSAFE if broken else "white" if found.refused else SAFE
                 ax.add_patch(Rectangle((column, row), 1, 1, facecolor=colour, ec="white"))
                 if colour == "white":
                     ax.add_patch(Rectangle((column, row), 1, 1, **HATCHED))
                 text = f"{found.broken[name]:g}" if broken else ""
                 ax.text(column + 0.5, row + 0.5, text, ha="center", va="center")
             tried = f"refused from {found.refused:g}" if found.refused else f"to {sizes[-1]:g}"
-            if found.unchecked:
-                tried += f", unchecked from {found.unchecked:g}"
             ax.text(len(COLUMNS) + 0.1, row + 0.5, tried, va="center", color=GREY)
         units = [f"{effect} ({EFFECTS[effect].unit or 'share'})" for effect in effects]
         ax.set_yticks([row + 0.5 for row in range(len(effects))], units)
@@ -294,7 +268,7 @@ def figure(report: dict[str, Any]) -> Figure:
         key = {UNSAFE: "a limit broke, from this size on", SAFE: "kept at every size"}
         patches = [Rectangle((0, 0), 1, 1, facecolor=colour, label=text) for colour, text in key.items()]
         if told:
-            text = "no limit broke, but not checked at every size"
+            text = "no limit broke, but refused from a size on"
             patches.append(Rectangle((0, 0), 1, 1, **HATCHED, label=text))
         ax.legend(handles=patches, loc="upper left", bbox_to_anchor=(0, -0.08), ncols=3, frameon=False)
         ax.set_title(

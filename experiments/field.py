@@ -44,10 +44,8 @@ LABELS = {
     "rta_desired": "filter, learns from the desired action",
     "rta_applied": "filter, learns from the applied action",
     "rta_penalty": "filter, penalty on corrections",
-    "rta_sampled": "the same, sampled conditions",
-    "rta_none": "the same, check alone",
-    "rta_5s": "the same as sampled, every 5 s",
-    "rta_10s": "the same as sampled, every 10 s",
+    "rta_5s": "the same, every 5 s",
+    "rta_10s": "the same, every 10 s",
 }
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from columns import if_long
 from inspection.closed_loop import Clocks, Controller, Hold, Safety, closed_loop, is_multiple
 from inspection.fixed import Fixed
 from inspection.initial_state import InitialStates
@@ -22,9 +23,10 @@ from inspection.transition import Transition
 from inspection.world.basilisk import BasiliskPlant
 from inspection.world.parameters import PlantParameters
 from inspection.world.plant import Plant
-from kernels.compiled import Compiled
-from kernels.modes import in_full_precision
-from kernels.printer import if_long
+from precision import in_full_precision
+
+# A function of one column's examples, compiled for about `batch` columns, with loops over an axis of length `long`.
+Compiler = Callable[..., Callable[..., list[Tensor]]]
 
 
 def clocks_of(
@@ -159,27 +161,36 @@ class InspectionEnv(Fixed):
             starts.pool = pool.clone()
 
     @in_full_precision
-    def compile(self) -> None:
+    def compile(self, compiler: Compiler) -> None:
         """Compiles integration, observation, constraint values, visibility and k-means for about as many episodes.
 
-        Raises as `Compiled`, and changes nothing then.
+        Args:
+            compiler: such as `kernels.compiled.Compiled`. Where it raises, nothing is changed.
         """
-        own = {"_normalised": self._compiled(self._normalised, self.x, *self.sight.observed())}
+        own = {"_normalised": self._compiled(compiler, self._normalised, self.x, *self.sight.observed())}
         if not (self.plant and not self.plant.is_recordable):
-            own["_integrate"] = self._compiled(self._integrate, self.x, self.x[:CONTROL_SIZE], *self._bodies)
+            own["_integrate"] = self._compiled(
+                compiler, self._integrate, self.x, self.x[:CONTROL_SIZE], *self._bodies
+            )
         if not is_multiple(self.clocks.hold, self.clocks.step):
-            own["_read"] = self._compiled(self._read, self.x, self.x[:CONTROL_SIZE], *self._bodies, self.time)
+            own["_read"] = self._compiled(
+                compiler, self._read, self.x, self.x[:CONTROL_SIZE], *self._bodies, self.time
+            )
         if self.safety.values:
-            own["_values"] = self._compiled(self.safety.values, self.x, points=len(self.c.planes))
-        self.sight.compile(self._several, self.x)
+            own["_values"] = self._compiled(compiler, self.safety.values, self.x, points=len(self.c.planes))
+        self.sight.compile(partial(self._several, compiler), self.x)
         vars(self).update(own)
 
     def _several(
-        self, function: Callable[..., list[Tensor]], *examples: Tensor, points: int | None = None
-    ) -> Compiled:
+        self,
+        compiler: Compiler,
+        function: Callable[..., list[Tensor]],
+        *examples: Tensor,
+        points: int | None = None,
+    ) -> Callable[..., list[Tensor]]:
         """A function compiled for tensors like the examples, with loops over so many points, None: all of them."""
         columns = [example[..., :1] for example in examples]
-        return Compiled(
+        return compiler(
             function,
             *columns,
             batch=self.time.numel(),
@@ -187,10 +198,14 @@ class InspectionEnv(Fixed):
         )
 
     def _compiled(
-        self, function: Callable[..., Tensor], *examples: Tensor, points: int | None = None
+        self,
+        compiler: Compiler,
+        function: Callable[..., Tensor],
+        *examples: Tensor,
+        points: int | None = None,
     ) -> Callable[..., Tensor]:
         """A function to one tensor, compiled for tensors like the examples; `points` as of `_several`."""
-        run = self._several(lambda *tensors: [function(*tensors)], *examples, points=points)
+        run = self._several(compiler, lambda *tensors: [function(*tensors)], *examples, points=points)
         return lambda *tensors, **times: run(*tensors, **times)[0]
 
     @in_full_precision

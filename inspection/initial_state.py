@@ -9,7 +9,7 @@ from torch import Tensor
 from inspection.model.draws import random_quaternion, spherical, uniform
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import SIZE, THETA_S, E, P, Q, T
-from kernels.modes import in_full_precision
+from precision import in_full_precision
 
 # The filter rejects at most 0.29 of the attitudes at any of 4000 starts of the paper, so 100 draws always found one; a
 # constraint on position may reject them all.

@@ -7,14 +7,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from columns import LEAST_LONG
 from inspection.chief import points as chief
 from inspection.chief.surface import directions, groups, in_view, seen_from, surface
 from inspection.chief.tumbling import RATE, Tumbling
 from inspection.model.attitude import conjugate, rotate
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.model.state import THETA_S, P
-from kernels.modes import in_full_precision
-from kernels.printer import LEAST_LONG
+from precision import in_full_precision
 
 ALL = slice(None)  # of the batch's columns
 

@@ -12,9 +12,10 @@ from torch import Tensor
 
 from interfaces.environment import Inspection6DoF
 from interfaces.vector import VectorInspection6DoF, in_kind
+from rta.filter import SafetyFilter
 from rta.result import FilterResult
 from settings import override
-from study.experiment import AnyFilter, Experiment
+from study.experiment import Experiment
 
 
 class VectorRunTimeAssurance(VectorWrapper):
@@ -26,10 +27,10 @@ class VectorRunTimeAssurance(VectorWrapper):
         u_des, u_safe: (B, calls, 6), desired and safe control in N and N m; the latter is applied, unless [plant] has
             the call missed,
         intervened: (B, calls) bool, u_safe is a correction,
-        backup: (B, calls) bool, u_safe is not what the programs answered, which could not be verified,
+        backup: (B, calls) bool, u_safe is not what the program answered, which could not be verified,
         verified: (B, calls) bool, u_safe keeps every limit in the model, see `rta.result.FilterResult`,
-        active: (B, calls, constraints) bool, a row of the constraint binds it,
-        status: (B, calls), `rta.qp.programs.Status` of the solver.
+        active: (B, calls, constraints) bool, the condition of the constraint binds the program's control,
+        status: (B, calls), `rta.result.Status`.
 
     Args:
         env: a `VectorInspection6DoF`, wrapped or not.
@@ -55,7 +56,7 @@ class VectorRunTimeAssurance(VectorWrapper):
         base.begin(experiment)
 
     @property
-    def filter(self) -> AnyFilter:
+    def filter(self) -> SafetyFilter:
         """The filter, which cannot be changed: starts and limits are its own, too."""
         return self._filter
 

@@ -19,7 +19,7 @@ from inspection.observation import components
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS, Transition
 from interfaces.options import read
-from rta.constraints.names import CONSTRAINTS
+from rta.names import CONSTRAINTS
 from settings import InputError, load, override, typed
 from study.config import Config
 from study.errors import as_input_error

@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
-from kernels.processors import processors
+from processors import processors
 
 VARIABLE = "RTA_CACHE_DIR"  # the directory of what was built, instead of the user's cache directory
 COMPILERS = ("clang", "gcc", "cc")  # what clang builds takes a tenth less time, with the same bits

@@ -1,4 +1,4 @@
-"""Records the control flow of `kernels.control`: every called function becomes a C function.
+"""Records the control flow of `columns`: every called function becomes a C function.
 
 A call or a loop is one expression of all values that it is given, and its results are expressions of it. A function for
 vectors receives a mask `on` of the columns that need it, and passes on at most this mask. A function of one column is
@@ -14,12 +14,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from columns import has_tensors, mapped, tensors_in
 from kernels.build import header
 from kernels.exported import TAKEN
 from kernels.operations.expressions import MASK, NUMBER, Expression, Program, Value
 from kernels.operations.shapes import filled
-from kernels.parts import Called, Part, Recorded, has_tensors, mapped, part_of, tensors_in
-from kernels.recorder import ACTIVE, Recorder, evaluated
+from kernels.parts import Called, Part, Recorded, part_of
+from kernels.recorder import Recorder, evaluated
 
 # names that the headers and printed text have themselves
 HEADERS = "vector.h", "scalar.h", "functions.h", "waiting.h"
@@ -30,9 +31,20 @@ TEXT = re.compile(
 ONCE = "once"  # how often `when` calls a function
 
 
-def active() -> Recorder | None:
-    """Returns this thread's recorder; None: nothing is recorded."""
-    return ACTIVE.all[-1] if ACTIVE.all else None
+class Recording(Recorder):
+    """A recorder of a function with control flow, as `columns` asks for it."""
+
+    def loop(self, *given: Any) -> list[Tensor]:
+        """See `loop`."""
+        return loop(self, *given)
+
+    def when(self, *given: Any) -> list[Tensor]:
+        """See `when`."""
+        return when(self, *given)
+
+    def call(self, *given: Any) -> Any:
+        """See `call`."""
+        return call(self, *given)
 
 
 def recorded(
@@ -75,7 +87,7 @@ def record(
         given = fit(given)
     inputs = [part_of(each, x) for each, x in zip(given, examples, strict=True)]
     program = Program(called.real, called.single)
-    recorder = Recorder(program, long, True if called.single else program.input("on", MASK), called)
+    recorder = Recording(program, long, True if called.single else program.input("on", MASK), called)
     returned, values = evaluated(function, examples, inputs, recorder)
     called.is_double |= recorder.is_double
     listed = [returned] if isinstance(returned, Tensor) else list(returned)
@@ -104,7 +116,7 @@ def like(returned: Any) -> Callable[[list[Tensor]], Any]:
     return type(returned)._make if hasattr(returned, "_make") else list
 
 
-# what `kernels.control` records
+# what `columns` records
 
 
 def call(recorder: Recorder, function: Callable[..., Any], given: Sequence[Any], long: int, name: str) -> Any:

@@ -91,28 +91,6 @@ class Called:
         return found
 
 
-def mapped(function: Callable[[Tensor], Any], given: Any) -> Any:
-    """Replaces every tensor in nested tuples and lists by the function's result."""
-    if isinstance(given, Tensor):
-        return function(given)
-    if not isinstance(given, list | tuple) or not has_tensors(given):
-        return given
-    found = [mapped(function, each) for each in given]
-    return type(given)._make(found) if hasattr(given, "_make") else type(given)(found)
-
-
-def tensors_in(given: Any) -> list[Tensor]:
-    """Returns the tensors in nested tuples and lists, in order."""
-    if isinstance(given, Tensor):
-        return [given]
-    return [x for each in given for x in tensors_in(each)] if isinstance(given, list | tuple) else []
-
-
-def has_tensors(given: Any) -> bool:
-    """Whether something is a tensor, or a tuple or a list that holds one."""
-    return bool(tensors_in(given))
-
-
 def part_of(name: str, column: Tensor) -> Part:
     """A tensor (..., 1) as an argument or a result."""
     if not column.dim() or column.shape[-1] != 1:

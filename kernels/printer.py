@@ -2,7 +2,7 @@
 
 A printed function takes and fills arrays of V, component first, and nothing else: V is a number, or a vector of the
 compiler's with one column per lane. What is printed does not depend on which; `vector.h` and `scalar.h` say what V is.
-Only calls and loops differ (`kernels.control`): for vectors they pass a mask of the columns that need them.
+Only calls and loops differ (`columns`): for vectors they pass a mask of the columns that need them.
 """
 
 import re
@@ -13,13 +13,12 @@ import torch
 from torch import Tensor
 
 from kernels.calls import recorded
-from kernels.modes import in_full_precision
 from kernels.parts import Part
 from kernels.text import Body
 from kernels.waiting import waiting
+from precision import in_full_precision
 
 CALL = re.compile(r"^ +(\w+)\(", re.MULTILINE)  # a statement of C
-LEAST_LONG = 64  # an axis of less may be as long as another one
 
 
 @dataclass(frozen=True)
@@ -109,8 +108,3 @@ def called_by(text: str, parts: dict[str, str]) -> list[str]:
 def comment(about: str) -> str:
     """A line of C that says something, or an empty one."""
     return f"/* {about.replace('*/', '* /')} */" if about else ""
-
-
-def if_long(length: int) -> int:
-    """`long` of `printed` for an axis of any length: 0 where another one may be as long, so that it is written out."""
-    return length if length >= LEAST_LONG else 0

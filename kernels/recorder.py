@@ -21,10 +21,11 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from columns import ACTIVE, tensors_in
 from kernels.operations.aten import Operations
 from kernels.operations.expressions import MASK, NUMBER, Program, Value, kind_of
 from kernels.operations.shapes import filled
-from kernels.parts import TYPES, Called, Part, element, tensors_in
+from kernels.parts import TYPES, Called, Part, element
 
 INTEGERS = {torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8}  # numbers without a fraction here
 PLACES_AND_TYPES = {"dtype", "device", "layout", "pin_memory", "memory_format", "implicit", "non_blocking"}
@@ -39,14 +40,6 @@ OF_SHAPE = {
 RECORDING = threading.RLock()  # the garbage collector is everybody's
 
 
-class Active(threading.local):
-    """This thread's recorders at work: each records a function that the one before it calls."""
-
-    def __init__(self) -> None:
-        self.all: list[Recorder] = []
-
-
-ACTIVE = Active()
 SEEN_BY = (Tensor.tolist, Tensor.numpy, Tensor.__array__)  # without an operation
 BRANCH = "values that decide what is computed, as in `if`, float() or x[x > 0], cannot be printed as C: use torch.where"
 

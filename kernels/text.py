@@ -24,7 +24,7 @@ class Repeated(NamedTuple):
 
     Attributes:
         callee: the body; state: what it changes; given: its other arguments.
-        most: the largest number of calls, ONCE: see `kernels.control.when`; alive: the columns to begin with.
+        most: the largest number of calls, ONCE: see `columns.when`; alive: the columns to begin with.
         start: the initial state; values: of the arguments `given`.
     """
 

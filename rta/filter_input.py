@@ -3,7 +3,7 @@
 import math
 import warnings
 from dataclasses import fields
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,9 +11,8 @@ from torch import Tensor
 
 from inspection.model.attitude import norm
 from inspection.model.parameters import Limits
-from inspection.model.state import CONTROL_SIZE, SIZE, P, Q, T
+from inspection.model.state import CONTROL_SIZE, SIZE, Q, T
 from inspection.model.state_checks import OFF_UNIT, unit_warnings
-from kernels.build import NoCompilerError, say
 from rta.result import FilterResult
 
 # How far a quaternion's length may be from 1: float32 resolves 1e-7, and a state estimate in it drifts by more.
@@ -90,31 +89,6 @@ class FilterInput:
             part = towards_zero(part, self.dtype)
         kind = part if self.tensors else part.numpy()
         return kind[..., 0][()] if self.single else kind
-
-
-class Compiling(Protocol):
-    """A filter that can be compiled."""
-
-    def compile(self, device: torch.device | str, batch: int) -> None: ...
-
-
-Filter = TypeVar("Filter", bound=Compiling)
-
-
-def compiled_for_one(fresh: Filter) -> Filter:
-    """Returns a new filter, compiled for calls of one spacecraft where it can be; says so where it cannot."""
-    try:
-        fresh.compile("cpu", 1)
-    except (NoCompilerError, NotImplementedError) as error:
-        say(f"{error}: the filter is not compiled, which makes it slower")
-    return fresh
-
-
-def probe(c: Limits, device: torch.device | str) -> tuple[Tensor, Tensor]:
-    """Returns a state (16, 1) and a control (6, 1) to try functions of the batch with."""
-    x = torch.zeros(SIZE, 1, dtype=torch.float64, device=device)
-    x[P.start], x[Q.stop - 1] = c.max_distance / 2, 1.0
-    return x, torch.zeros_like(x[:CONTROL_SIZE])
 
 
 def numbers(name: str, given: Any) -> Tensor:

@@ -29,7 +29,7 @@ class Limit(NamedTuple):
     Attributes:
         h: of states (16, ...) and the task's constants; not negative where the limit is kept.
         gains: of the class-K functions alpha_j(z) = k_j z, 1/s; one for each relative degree.
-        weight: of its slack squared; None, or 0 as in the paper: it must hold.
+        weight: of its slack squared; None or 0: it has no slack and must hold.
     """
 
     h: Callable[[Tensor, Limits], Tensor]

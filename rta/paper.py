@@ -3,9 +3,9 @@
     u_act = argmin |u_des - u|^2 + sum_i w_i delta_i^2
             s.t.   L_f Psi_i + L_g Psi_i u + alpha(Psi_i) + delta_i >= 0,   |u_j| <= u_max
 
-Psi_i is h_i, or the last of its high-order barrier functions that no control changes at once; alpha(z) = k z. The
-paper writes BC >= delta, the same with -delta. Each spacecraft has one program, of six controls and all slack, solved
-by PIQP. Nothing is checked: it can fail. `rta.filter` is verified.
+Psi_i is h_i where controls change its first derivative, else the last barrier function of its high-order chain, whose
+derivative they change; alpha(z) = k z. The paper writes BC >= delta, the same with -delta. Each spacecraft has one
+program, of six controls and all slack, solved by PIQP. Nothing is checked: it can fail. `rta.filter` is verified.
 """
 
 import numpy as np
@@ -18,9 +18,8 @@ from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE
 from rta.lie_derivatives import Function, lie_derivative, lie_derivatives
 from rta.limits import PAPER, Limit
-from rta.qp.nearest import nearest_points
-from rta.qp.programs import Status
-from rta.result import FilterResult
+from rta.nearest import nearest_points
+from rta.result import FilterResult, Status
 
 GIVEN = 1e-7  # slack, in the unit of its condition, that is more than rounding
 
@@ -51,7 +50,7 @@ def barrier_conditions(x: Tensor, c: Limits, limits: dict[str, Limit] = PAPER) -
 def asif(
     a: ndarray, b: ndarray, desired: ndarray, weights: list[float | None]
 ) -> tuple[ndarray, ndarray, ndarray]:
-    """Returns controls (n, 6), slack (n, R) and `Status` (n,) of n programs; zeros of one that PIQP does not solve.
+    """Returns controls (n, 6), slack (n, R) and `Status` (n,) of n programs; zeros where PIQP finds no solution.
 
     Controls are in units of the actuators' limits, a (n, R, 6), b (n, R) and desired (n, 6), too. A row of weight
     None or 0 has no slack. Variables are the controls and sqrt(w) delta, so that the cost is a distance; rows have
@@ -116,4 +115,4 @@ class PaperFilter:
         found = [torch.from_numpy(part.T).to(x.device) for part in (applied, changed, active, slack, status)]
         u, intervened, active_rows, delta, code = found
         no = torch.zeros_like(intervened)
-        return FilterResult(u, intervened, no, no, active_rows, delta, code, code.expand(2, -1), h)
+        return FilterResult(u, intervened, no, no, active_rows, delta, code, h)

@@ -1,9 +1,21 @@
 """What the filter says of a call."""
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 from torch import Tensor
+
+
+class Status(IntEnum):
+    """How a control came about, in rising order of trouble."""
+
+    UNTOUCHED = 0  # the desired control is within the actuators' limits and satisfies every condition
+    HARD = 1  # clipped or corrected: every condition is satisfied, or the control is verified, or the check replaced it
+    SLACK = 2  # the program's control leaves a condition unsatisfied, and what is applied is not verified
+    UNSOLVED = (
+        3  # the program has no solution, or a number of the state is not finite (zero control); not verified
+    )
 
 
 @dataclass
@@ -15,19 +27,15 @@ class FilterResult:
     Attributes:
         control: (6, B) safe control in N and N m, within the actuators' limits whatever was desired.
         intervened: (B,) bool, another control than the desired one is applied.
-        verified: (B,) bool, the control keeps every limit until the next call, and the backup laws' flight from there
-            does (`rta.backup`; docs/reference/proof.md). With error bounds:
-            whatever is true within them, whenever the next call is, and motion comes into an invariant set. False where
-            no backup trajectory is known of motion or attitude. Limits of your own are not checked, and do not count.
-        backup: (B,) bool, another control is applied than the programs' solution, for that reason.
-        active: (constraints, B) bool, a row of the constraint binds a corrected control.
-        slack: (constraints, B) shortfall of the barrier condition without margin, in h's unit per s (per s^2 where
-            the relative degree is two); zero unless a program needed slack, or a broken limit asks for more than the
-            actuators give. Zero, too, where the paper's filter finds no solution.
-        status: (B,) int64, the worse `Status` of the thrust and the torque program; SLACK, at least, where slack is.
-        program_status: (2, B) int64, both of them.
-        h: (constraints, B) values without margin, exact; that of passive safety by the times of its rows. Where a
-            state is predicted, of the state of now.
+        verified: (B,) bool, the control keeps every limit until the next call, and so does the flight of the backup
+            laws after it (`rta.check`; docs/reference/proof.md). With error bounds: for every true state within them,
+            and every time of the next call that they allow. Limits of your own are not checked, and do not count.
+        backup: (B,) bool, the check replaced the program's control.
+        active: (constraints, B) bool, the condition of the constraint binds the program's control.
+        slack: (constraints, B) shortfall of the condition under the program's control, before the check, in h's unit
+            per s (per s^2 where the relative degree is two); zero where the call is verified or nothing was found.
+        status: (B,) int64, a `Status`.
+        h: (constraints, B) values of the limits. Where a state is predicted, of the state of now.
     """
 
     control: Tensor
@@ -37,10 +45,9 @@ class FilterResult:
     active: Tensor
     slack: Tensor
     status: Tensor
-    program_status: Tensor
     h: Tensor
 
     @property
     def violated(self) -> Any:
-        """(B,) bool: a limit is broken already, some h is negative, whatever the programs answered."""
+        """(B,) bool: a limit is broken already, some h is negative, whatever the program answered."""
         return (self.h < 0.0).any(0)

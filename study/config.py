@@ -9,12 +9,20 @@ from typing import Any, TypeVar
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.orbits import GUIDANCE
 from inspection.world.parameters import PlantParameters
+from inspection.world.uncertainty import Uncertainty
 from ppo.parameters import PPOParameters
-from rta.bounds.uncertainty import Uncertainty
-from rta.constraints.names import CONSTRAINTS
+from rta.names import CONSTRAINTS
 from rta.parameters import RtaParameters
-from settings import Settings, override, setting
+from settings import Settings, from_toml, override, setting
 
+# keys of [rta] and [uncertainty] that filters before had, and that their runs recorded
+RETIRED = re.compile(
+    r"rows|(collision|speed|keep_in|passive_safety|velocity|rate)_gain|(exclusion|temperature|battery)_gains"
+    r"|(collision|keep_in|passive_safety|exclusion|temperature|battery|rate)_margin"
+    r"|passive_safety_(doubling|segments)|incidence_rounding|distance_floor|pole_angle"
+    r"|slack_weight_(critical|resource|motion)|health|saturates_rates"
+)
+RETIRED_LINE = re.compile(rf"(?m)^(rta\.)?({RETIRED.pattern}) = .*\n")
 MAX_COUNT = 10**12
 LEARN_FROM = ("desired", "applied", "penalty")
 MAX_SEEDS = 1000  # of a study; they share the memory
@@ -193,9 +201,20 @@ class StudyConfig(Config):
         rta = tables.get("rta", {})
         if rta.get("filter", shared.rta.filter) != shared.rta.filter:
             tables = {**tables, "rta": {"qp_solver": "auto", **rta}}
-        arm = override(shared, tables, f"[arms.{name}]")
-        one, other = (each.uncertainty.rows(each.rta) == "sampled" for each in (arm, shared))
-        return arm if one == other or "qp_solver" in rta else arm.with_solver("auto")
+        return override(shared, tables, f"[arms.{name}]")
 
 
 AnyConfig = TypeVar("AnyConfig", bound=Config)
+
+
+def recorded(text: str, source: str, base: AnyConfig) -> AnyConfig:
+    """Reads the configuration of a finished run, as `from_toml`; without RETIRED keys, which are passed over."""
+    return from_toml(RETIRED_LINE.sub("", text), source, base)
+
+
+def of_today(tables: dict[str, Any]) -> dict[str, Any]:
+    """Returns the tables of a report's configuration without RETIRED keys."""
+    return {
+        name: {key: value for key, value in table.items() if not RETIRED.fullmatch(key)}
+        for name, table in tables.items()
+    }

@@ -14,7 +14,7 @@ from inspection.chief.hull import with_hull
 from inspection.chief.mesh import with_digest
 from inspection.chief.surface import surface
 from inspection.closed_loop import Safety
-from inspection.environment import InspectionEnv, clocks_of
+from inspection.environment import Compiler, InspectionEnv, clocks_of
 from inspection.initial_state import InitialStates
 from inspection.model.draws import uniform
 from inspection.model.parameters import InspectionParameters
@@ -24,18 +24,16 @@ from inspection.privileged import PRIVILEGED
 from ppo import checkpoint
 from ppo.errors import CheckpointError
 from ppo.network import Policy, Value
-from rta.constraints.names import CONSTRAINTS, OWN, PAPERS
 from rta.filter import SafetyFilter
-from rta.flown_paper import FlownPaperFilter
 from rta.keep_clear import kept_clear
+from rta.names import OWN
+from rta.own import OWN as OWN_LIMITS
 from rta.parameters import RtaParameters
-from settings import InputError, from_toml
-from study.config import AnyConfig, Config
+from settings import InputError
+from study.config import AnyConfig, Config, recorded
 from study.errors import as_input_error
 from study.flight.fly import Starts
-from study.machine import compile_or_explain, resolve_device, step, wants_compile
-
-AnyFilter = SafetyFilter | FlownPaperFilter
+from study.machine import WORTH_COMPILING_FILTER, compile_or_explain, resolve_device, step, wants_compile
 
 EPISODE = 3600  # s, about as long as an agent takes
 
@@ -84,8 +82,7 @@ class Experiment:
         seconds = min(EPISODE, config.inspection.max_time) if seconds is None else seconds
         choice, calls = config.train.compile, seconds / config.rta.period
         steps = seconds / config.inspection.action_period
-        holds = config.rta.filter == "checked" and config.uncertainty.needs_sampled_rows(config.rta)
-        self.filter_compiled = config.train.rta and wants_compile(choice, calls, holds)
+        self.filter_compiled = config.train.rta and wants_compile(choice, calls, WORTH_COMPILING_FILTER)
         self.config = settled(config)
         self.compiled = wants_compile(choice, steps)
         self.task = with_hull(with_correction_price(config), config.chief)
@@ -93,18 +90,30 @@ class Experiment:
         with as_input_error("[plant] and [inspection]", ValueError):
             config.plant.check_body(config.inspection)
         if self.filter_compiled:
-            self.filter_compiled = compile_or_explain(
-                "filter", lambda: self.filter.compile(self.device, batch)
-            )
+            self.filter_compiled = compile_or_explain("filter", lambda: self.compile_filter(batch))
+        if not self.filter_compiled:
+            self.filter = for_batches(self.filter)
         self.safety = self.filter.safety(config.train.rta)
         if config.train.keep_clear and not ignores_keep_clear(config):
             self.safety = kept_clear(self.safety, self.task)
+
+    def compile_filter(self, batch: int) -> None:
+        """Puts a compiled filter in the place of the filter; raises as `rta.fast.filter.fast`."""
+        from rta.fast.filter import fast
+
+        self.filter = fast(self.filter, self.device, batch)
+
+    @property
+    def compiler(self) -> Compiler:
+        """What compiles functions of a batch."""
+        from kernels.compiled import Compiled
+
+        return Compiled
 
     @property
     def checked_filter(self) -> SafetyFilter:
         """The filter, where it has a check; raises InputError where it has none."""
         check_is_checked(self.config)
-        assert isinstance(self.filter, SafetyFilter)
         return self.filter
 
     def generators(self, seeds: Sequence[int] = (0,)) -> list[torch.Generator]:
@@ -146,7 +155,7 @@ class Experiment:
                 privileged,
             )
         if compiled:
-            compile_or_explain("simulator", env.compile)
+            compile_or_explain("simulator", lambda: env.compile(self.compiler))
         return env
 
     def policy(self, generators: Sequence[torch.Generator]) -> Policy:
@@ -160,21 +169,45 @@ class Experiment:
         return Value(size, generators, self.config.ppo.hidden)
 
 
-def filter_of(config: Config) -> AnyFilter:
-    """Returns the filter that a configuration asks for; raises InputError where its parts do not fit together."""
-    if config.rta.filter == "checked":
-        return checked_filter(config)
-    if config.chief.collision == "hull":
+def filter_of(config: Config) -> SafetyFilter:
+    """Returns the filter that a configuration asks for; raises InputError where its parts do not fit together.
+
+    One that is not flown needs no check.
+    """
+    rta = config.rta if config.train.rta else replace(config.rta, unverified=True)
+    is_paper = config.rta.filter == "paper"
+    if is_paper and config.chief.collision == "hull":
         raise InputError('[rta] filter = "paper": keeps clear of a sphere; must be "checked" beside a hull')
-    if config.train.rta and not config.uncertainty.is_zero:
+    if is_paper and config.train.rta and not config.uncertainty.is_zero:
         raise InputError(
             '[rta] filter = "paper": knows no [uncertainty]; must be "checked" with error bounds'
         )
-    if OWN:
+    if is_paper and OWN:
         raise InputError(
             f'[rta] filter = "paper": has the paper\'s limits alone, not {", ".join(OWN)}; must be "checked"'
         )
-    return FlownPaperFilter(config.inspection, config.rta.period)
+    if tuple(OWN_LIMITS) != OWN:
+        raise InputError(
+            f"rta/names.py: OWN = {list(OWN)}: must be {list(OWN_LIMITS)}, the limits in rta/own.py"
+        )
+    with as_input_error("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
+        task = with_hull(config.inspection, config.chief)
+        if is_paper or config.uncertainty.is_zero:
+            return SafetyFilter(task, rta, OWN_LIMITS)
+        if not find_spec("rta.robust"):
+            raise InputError("[uncertainty]: rta/robust is not here, so that error bounds must be nil")
+        from rta.robust.filter import RobustFilter
+
+        return RobustFilter(task, rta, OWN_LIMITS, uncertainty=config.uncertainty)
+
+
+def for_batches(safety_filter: SafetyFilter) -> SafetyFilter:
+    """Returns the filter, its programs solved for a whole batch at once where that is wanted and rta/fast is here."""
+    if safety_filter.parameters.solver == "batched" and find_spec("rta.fast"):
+        from rta.fast.filter import batched
+
+        return batched(safety_filter)
+    return safety_filter
 
 
 def check_is_checked(config: Config) -> None:
@@ -188,15 +221,7 @@ def check_is_checked(config: Config) -> None:
 def checked_filter(config: Config) -> SafetyFilter:
     """Returns the filter with a check; raises InputError where the configuration asks for another one or is wrong."""
     check_is_checked(config)
-    with as_input_error("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
-        task = with_hull(config.inspection, config.chief)
-        made = SafetyFilter(task, config.rta, uncertainty=config.uncertainty)
-        if made.names != CONSTRAINTS:
-            raise ValueError(
-                f"rta/constraints/names.py: OWN = {list(OWN)}: must be {list(made.names[len(PAPERS) :])}, "
-                "the limits that thrust.py, then torque.py add to the paper's"
-            )
-    return made
+    return filter_of(config)
 
 
 def paper_task(
@@ -222,18 +247,14 @@ def paper_task(
 def test_cases(config: Config, episodes: int, seed: int) -> Starts:
     """Returns the common test cases, the same for every agent and device; none depends on how many there are."""
     c = with_hull(config.inspection, config.chief)
-    # default gains, so that agents trained behind different filters meet the same cases
-    edges = config.rta.passive_safety_segments
-    if config.rta.filter == "paper":  # which has none
-        edges = tuple(edge * c.passive_safety_horizon / edges[-1] for edge in edges)
-    gains = RtaParameters(passive_safety_segments=edges)
     with (
         as_input_error(
             "[inspection]: no test cases, whose starts the checked filter accepts", RuntimeError, ValueError
         ),
         step("drawing the test cases, seconds"),
     ):
-        starts = InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe)
+        accepting = SafetyFilter(c, RtaParameters(unverified=True), OWN_LIMITS)
+        starts = InitialStates(torch.Generator().manual_seed(seed), c, for_batches(accepting).is_safe)
         x, priority = starts.take(episodes)
     return Starts(x, priority, plant_numbers(episodes, seed))
 
@@ -298,8 +319,7 @@ def settled(config: AnyConfig) -> AnyConfig:
         )
     if config.rta.qp_solver != "auto":
         return config
-    solver = "piqp" if config.rta.filter == "paper" else "batched"
-    return replace(config, rta=replace(config.rta, qp_solver=solver))
+    return replace(config, rta=replace(config.rta, qp_solver=config.rta.solver))
 
 
 def make_policy(config: Config, generators: Sequence[torch.Generator]) -> Policy:
@@ -326,7 +346,7 @@ def load_policy(path: str | Path) -> tuple[Policy, Config]:
     """
     content = checkpoint.load(path, ("policy", "config"))
     with as_input_error(f"{path}: not a checkpoint of this program", AttributeError, TypeError, RuntimeError):
-        config = from_toml(content["config"], str(path), Config())
+        config = recorded(content["config"], str(path), Config())
         policy = make_policy(config, [torch.Generator()])
         check_weights(content["policy"], path)
         policy.load_state_dict(content["policy"])

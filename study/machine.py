@@ -9,7 +9,7 @@ import platform
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Timer
 from typing import Any
@@ -18,11 +18,9 @@ import torch
 from filelock import BaseFileLock, FileLock, SoftFileLock, Timeout
 from tqdm import tqdm
 
-from kernels import compiled
-from kernels.build import NoCompilerError, compiler
-from kernels.processors import processors
 from ppo.distributed import is_first, local_rank, ranks
 from ppo.files import naming
+from processors import processors
 from settings import InputError, in_one_line, to_toml
 from study.config import Config
 from study.files import ROOT, read_json, write_json, write_text
@@ -35,8 +33,8 @@ NFS_WITHOUT_LOCKS = 524  # Linux' own ENOTSUPP, which the errno module lacks
 WITHOUT_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, NFS_WITHOUT_LOCKS}
 # Compiling takes 3 s the first time, which as many filter calls or steps (of a batch each) repay.
 WORTH_COMPILING = 150
-# Where controls are held a call takes 0.5 to 1.4 s (32 to 256 spacecraft), compiled some ms; compiling takes 4 to 10.
-WORTH_COMPILING_HELD = 30
+# A call of a filter that is not compiled flies its check in Python, up to a second; compiling it takes 4 to 10.
+WORTH_COMPILING_FILTER = 10
 MOST_THREADS = (
     4096  # that any machine was used with; so many more that they cannot be started end the process
 )
@@ -101,26 +99,29 @@ def set_threads(wanted: int | None, recorded: int | None = None) -> None:
             "only wait for each other, and very many cannot be started"
         )
     said = wanted is not None or "OMP_NUM_THREADS" in os.environ
-    compiled.most_threads = None if said else processors()
+    with suppress(ModuleNotFoundError):
+        from kernels import compiled
+
+        compiled.most_threads = None if said else processors()
     if given := wanted or recorded:
         torch.set_num_threads(given)
     elif not said:
         torch.set_num_threads(1)
 
 
-def wants_compile(choice: str, calls: float, holds: bool = False) -> bool:
-    """Tells whether to compile for --compile auto, on or off.
-
-    Args:
-        calls: that are to come of what is compiled; holds: it is a filter of controls that are held.
-    """
-    repaid = calls >= (WORTH_COMPILING_HELD if holds else WORTH_COMPILING)
-    return (choice == "on" or (choice == "auto" and repaid)) and finds_compiler()
+def wants_compile(choice: str, calls: float, worth: int = WORTH_COMPILING) -> bool:
+    """Tells whether to compile for --compile auto, on or off; `calls` are to come, `worth` repay it."""
+    return (choice == "on" or (choice == "auto" and calls >= worth)) and finds_compiler()
 
 
 @functools.cache
 def finds_compiler() -> bool:
     """Tells whether there is a C compiler; if not, says so, once."""
+    try:
+        from kernels.build import NoCompilerError, compiler
+    except ModuleNotFoundError:
+        print("kernels/ is not here; uncompiled, this is slower", file=sys.stderr)
+        return False
     try:
         compiler()
     except NoCompilerError as error:

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from rta.constraints.names import OWN
+from rta.names import OWN
 
 Results = dict[str, Any]  # in the form of `evaluate --json`
 Numbers = tuple[float, float, float]

@@ -3,8 +3,7 @@
 import math
 
 from inspection.model.parameters import Limits
-from rta.constraints.names import CONSTRAINTS
-from rta.constraints.thrust import thrust_acceleration
+from rta.names import CONSTRAINTS
 
 
 def scales(c: Limits, period: float) -> list[float]:
@@ -20,7 +19,7 @@ def scales(c: Limits, period: float) -> list[float]:
     - omega_i^2 changes by 2 omega_max alpha_max T, and by omega_max^2 from its limit to zero.
     """
     natural = c.max_thrust / c.mass - c.max_acceleration
-    pushed = (thrust_acceleration(c) + natural) * period  # m/s
+    pushed = (math.sqrt(3.0) * c.max_thrust / c.mass + natural) * period  # m/s
     radial = pushed + c.max_acceleration * period
     fastest = c.docking_speed + c.speed_slope * c.max_distance  # m/s
     turned = math.sqrt(3.0) * c.max_rate * period  # rad

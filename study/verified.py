@@ -13,29 +13,24 @@ from typing import Any
 from inspection.chief.mesh import with_digest
 from inspection.model.parameters import ChiefParameters, Limits
 from inspection.world.parameters import PlantParameters
-from kernels.build import header
-from kernels.cache import remembered
 from ppo.distributed import is_first
-from rta.constraints.names import OWN, PAPERS
 from rta.limits import PAPER
-from rta.printed.batch import recorded, uncompiled
-from rta.printed.files import implementation
+from rta.names import OWN, PAPERS
 from settings import override, rules
-from study.config import Config
+from study.config import Config, of_today
 from study.errors import MALFORMED
 from study.experiment import checked_filter, ignores_keep_clear
 from study.files import ROOT, read_json
 
 LIMITS = "limits of your own"
-GAINS = "rta/limits.py"  # of the paper's filter, which are no settings
+GAINS = "rta/limits.py"  # which are no settings
 # Settings that came later: at their defaults they are what was flown before, and its fingerprint stays.
 LATER = {
     *(f"[inspection] {key}" for key in ("orbit", "eccentricity", "sun_from_perigee", "hill_rotation")),
     "[inspection] gravitational_parameter",
-    "[rta] rows",
+    "[rta] unverified",
     "[rta] filter",
     LIMITS,
-    GAINS,
     *(f"[plant] {key}" for key in ("simulator", "j2", "drag", "actuators", "errors")),
 }
 POLICIES = ("random", "adversarial")  # each has to have flown
@@ -46,10 +41,8 @@ CHECK = "docs/reference/filter.md"
 REPORTS = "runs/verification"  # below the working directory: a person's own; the shipped ones are below runs/reference
 
 
-def gains_of(config: Config) -> str:
-    """A digest of the gains and weights of the paper's filter; nothing of another one."""
-    if config.rta.filter != "paper":
-        return ""
+def gains_of() -> str:
+    """A digest of the gains and weights of the paper's limits."""
     table = [(name, limit.gains, limit.weight) for name, limit in PAPER.items()]
     return hashlib.sha256(json.dumps(table).encode()).hexdigest()[:12]
 
@@ -71,7 +64,7 @@ def relevant(config: Config, own: Sequence[str] = OWN, gains: str | None = None)
         "uncertainty": vars(config.uncertainty),
     }
     values = {f"[{table}] {key}": value for table, part in tables.items() for key, value in part.items()}
-    return values | {LIMITS: own, GAINS: gains_of(config) if gains is None else gains}
+    return values | {LIMITS: own, GAINS: gains_of() if gains is None else gains}
 
 
 def of_hull(chief: ChiefParameters) -> dict[str, Any]:
@@ -91,8 +84,13 @@ def fingerprint(config: Config) -> str:
 
 def code_digest(config: Config) -> str:
     """The first 12 hexadecimal digits of the SHA-256 of a configuration's filter as C, for one and for a batch."""
+    from kernels.build import header
+    from kernels.cache import remembered
+    from rta.fast.files import implementation
+    from rta.fast.filter import printed_answer
+
     safety_filter = checked_filter(config)
-    batch = remembered(recorded, uncompiled(safety_filter), False)
+    batch = remembered(printed_answer, safety_filter, False)
     own = batch.waiting or batch.text
     texts = [implementation(safety_filter), *batch.parts, own, header("waiting.h")]
     return hashlib.sha256("".join(texts).encode()).hexdigest()[:12]
@@ -152,7 +150,7 @@ def reports(filters: Sequence[str] = ("python",)) -> Iterator[Flown]:
         for path in sorted(directory.glob("*.json")):
             try:
                 report = read_json(path, "report")
-                flown = Flown(path, report, override(Config(), report["config"], str(path)))
+                flown = Flown(path, report, override(Config(), of_today(report["config"]), str(path)))
                 _ = flown.clean, flown.large, report["campaign"]["policy"]
             except (OSError, *MALFORMED):
                 continue
@@ -184,11 +182,9 @@ def unchecked(config: Config) -> str | None:
     """What the filter of a configuration does not check, in a line; None: it checks everything."""
     if config.rta.filter == "paper":
         return f"not checked: motion and attitude; the paper's filter has no check; see {CHECK}"
-    names = checked_filter(config).unchecked
-    if not names:
-        return None
-    why = "with these settings the filter knows no way to rest, so it corrects without a check"
-    return f"not checked: {' and '.join(names)}; {why}; see {CHECK}"
+    known = checked_filter(config).checked
+    names = [name for name, is_known in zip(("motion", "attitude"), known, strict=True) if not is_known]
+    return f"not checked: {' and '.join(names)}; see {CHECK}" if names else None
 
 
 def why_unverified(config: Config) -> str | None:

@@ -35,13 +35,13 @@ from inspection.observation import components
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
 from ppo.network import Policy
-from rta.constraints.names import CONSTRAINTS
-from rta.filter import SafetyFilter
+from rta.fast.filter import fast
+from rta.names import CONSTRAINTS
 from rta.parameters import RtaParameters
-from rta.qp.programs import Status
-from settings import load
+from rta.result import Status
+from settings import InputError, load
 from study.config import TEST_CASES, Config
-from study.experiment import Experiment, load_policy
+from study.experiment import Experiment, filter_of, load_policy
 from study.experiment import test_cases as common_cases
 from study.flight.evaluation import play
 
@@ -126,11 +126,10 @@ def filtered(count: int, period: float, config: str | None = None) -> Quantities
     """What the compiled filter answers to states, at a period and with the bounds of a shipped configuration."""
     base = load(config, Config()) if config else Config()
     try:
-        own = SafetyFilter(base.inspection, RtaParameters(period=period), uncertainty=base.uncertainty)
-    except ValueError as error:
+        own = fast(filter_of(replace(base, rta=RtaParameters(period=period))), "cpu", count)
+    except InputError as error:
         return {"refused": [str(error)]}
     x, desired = states(count, seed=0)
-    own.compile("cpu", count)
     result = own.correct(x, desired)
     return {
         "control": rows(CONTROLS, result.control),
@@ -190,7 +189,7 @@ def verified(policy: str, *flags: str) -> Quantities:
         command("verify", "--policy", policy, *campaign, "--keep-worst", *flags)
         report = json.loads(path.read_text())
         worst = [np.load(f"{path}.{name}.npz")["control_applied"] for name in CONSTRAINTS]
-    counts = "episodes", "steps", "starts_rejected_by_margin", "backup_calls", "controls_outside_bounds"
+    counts = "episodes", "steps", "starts_rejected", "backup_calls", "controls_outside_bounds"
     tables = "violating_episodes", "violating_steps", "filter_calls", "yielded_calls"
     of_tables = {f"{table} {key}": value for table in tables for key, value in report[table].items()}
     return {

@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
 import torch
@@ -21,14 +22,8 @@ from torch import Tensor
 from inspection.model.dynamics import Body, step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE
-from kernels.compiled import Compiled
-from rta.constraints import thrust as thrust_constraints
-from rta.constraints import torque as torque_constraints
-from rta.constraints.constraint import Constraint
-from rta.constraints.names import CONSTRAINTS
+from rta.limits import PAPER, WEIGHT
 from rta.parameters import RtaParameters
-from rta.qp import programs as qp
-from rta.qp.piqp_solver import lhs
 from study.verification.starts import states_of
 
 # The paper's constraints
@@ -62,10 +57,9 @@ def positive(a: ndarray) -> ndarray:
     return np.where(a.real > 0, a, 0.0)
 
 
-def root(z: ndarray, floor: float = 0.0) -> ndarray:
-    """sqrt(2 a_max z), continued oddly to negative distances; nearer to 0 than a floor its chord."""
-    straight = z / math.sqrt(floor or 1.0)
-    return math.sqrt(2 * A_MAX) * np.where(np.abs(z) < floor, straight, np.sign(z) * np.sqrt(np.abs(z)))
+def root(z: ndarray) -> ndarray:
+    """sqrt(2 a_max z), continued oddly to negative distances."""
+    return math.sqrt(2 * A_MAX) * np.sign(z) * np.sqrt(np.abs(z))
 
 
 def cosines(x: ndarray, panel: float = -1.0) -> tuple[ndarray, ndarray, ndarray, ndarray]:
@@ -100,21 +94,6 @@ def coast(x: ndarray, t: ndarray) -> ndarray:
 
 def speed_limit(x: ndarray) -> ndarray:
     return 0.2 + 7.5 * MEAN_MOTION * length(x[:3])
-
-
-def keep_in_curve(x: ndarray, floor: float = 0.0) -> ndarray:
-    """sqrt(2 (a_max - v_t^2 / |p|) (800 - |p|)) - v_pr, at least a tenth of a_max left to brake, all of it outside.
-
-    Nearer to 800 m than a floor the root is its chord, outside its tangent.
-    """
-    distance = length(x[:3])
-    radial = (x[:3] * x[3:6]).sum(0) / distance
-    across = np.cross(x[:3], x[3:6], axis=0) / distance
-    braking = np.maximum(A_MAX - (across**2).sum(0) / distance, A_MAX / 10)
-    inside = np.sqrt(braking / A_MAX) * root(800 - distance, floor)
-    tangent = (distance - 800 + floor) / (2 * math.sqrt(floor or 1.0))
-    beyond = math.sqrt(2 * A_MAX) * np.where(distance - 800 < floor, tangent, np.sqrt(np.abs(800 - distance)))
-    return np.where(distance > 800, -beyond, inside) - radial
 
 
 def passive_safety(x: ndarray, start: float = 0.0, end: float = 500.0) -> ndarray:
@@ -163,23 +142,6 @@ def tensor(x: ndarray) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(x))
 
 
-def clearance(x: ndarray, segments: tuple[float, ...] = R.passive_safety_segments) -> ndarray:
-    """The constraint's own closest clearance in m per segment."""
-    times = thrust_constraints.closest_passes(tensor(x), segments, C)
-    return thrust_constraints.clearance_at(tensor(x), times, C).numpy()
-
-
-def entries(c: InspectionParameters = C, r: RtaParameters = R) -> dict[str, Constraint]:
-    """The 13 by name."""
-    thrust, torque = thrust_constraints.thrust_constraints(c, r), torque_constraints.torque_constraints(c, r)
-    return {each.name: each for each in (*thrust, *torque)}
-
-
-def enforced(each: Constraint, x: ndarray) -> ndarray:
-    """The barrier, (rows, B)."""
-    return each.barrier_at(tensor(x))(tensor(x)).numpy()
-
-
 def at_the_edge(count: int, distance: float, within: float) -> ndarray:
     """(16, count) states no further from a distance from the chief than `within`."""
     x = states(count, seed=8)
@@ -188,42 +150,6 @@ def at_the_edge(count: int, distance: float, within: float) -> ndarray:
 
 
 # Rows by central differences along an independent f and g
-
-EXACT = RtaParameters(incidence_rounding=0.0)  # the rows of the paper's own form
-SEGMENTS = tuple(itertools.pairwise(EXACT.passive_safety_segments))
-K1 = np.array([*EXACT.exclusion_gains[:1], *EXACT.temperature_gains[:1], *EXACT.battery_gains[:1]])
-# m/s^2: all thrusters at once, the same with the worst natural acceleration, and how far from the attitude of
-# mid-period a turn at 2 deg/s about each axis, quickened by 1 deg/s^2 about each, takes the thrust in the mean over
-# 1 s: |omega|^2 t^2 / 24 and |alpha| t^2 / 6
-THRUST_MOST = math.sqrt(3) / 12
-MOST = THRUST_MOST + 3 * MEAN_MOTION**2 * 800 + 2 * MEAN_MOTION * 5
-ASTRAY = THRUST_MOST * (3 * math.radians(2) ** 2 / 24 + math.sqrt(3) * 0.017453 / 6)
-# (gain in 1/s, margin, what h can fall in 1 s below its linear prediction) of each row at a period of 1 s; passive
-# safety has one row per segment. At the limit v^2 falls by |a|^2 t^2 + 2 v t times what the thrust goes astray.
-THRUST_ROWS = np.array(
-    [
-        (EXACT.collision_gain, EXACT.collision_margin, ASTRAY),
-        (EXACT.speed_gain, 0.0, ASTRAY),  # and what `speed_fall` adds
-        (
-            EXACT.keep_in_gain,
-            EXACT.keep_in_margin,
-            ASTRAY + (0.2 + 7.5 * MEAN_MOTION * 800) * THRUST_MOST / 800,
-        ),
-        *[(EXACT.passive_safety_gain, EXACT.passive_safety_margin, 0.0)] * 5,
-        *[(EXACT.velocity_gain, 0.0, MOST**2 + 10 * ASTRAY)] * 3,
-    ]
-).T[..., None]
-TORQUE_ROWS = np.array(
-    [
-        (EXACT.exclusion_gains[1], K1[0] * EXACT.exclusion_margin),
-        (EXACT.temperature_gains[1], K1[1] * EXACT.temperature_margin),
-        (EXACT.battery_gains[1], K1[2] * EXACT.battery_margin),
-        *[(EXACT.rate_gain, EXACT.rate_margin)] * 3,
-    ]
-).T[..., None]
-PSM = slice(3, 8)
-ROWS_OF_THRUST = (*CONSTRAINTS[:3], *["passive_safety"] * 5, *CONSTRAINTS[4:7])
-ROWS_OF_TORQUE = CONSTRAINTS[7:]
 
 
 def panel(c: InspectionParameters) -> float:
@@ -263,20 +189,6 @@ def push(x: ndarray, axis: int) -> ndarray:
     return out
 
 
-def held(x: ndarray) -> ndarray:
-    """The states with the attitude half a second later, along which a thrust held for 1 s acts in the mean."""
-    (q1, q2, q3, q4), (w1, w2, w3) = x[6:10], 0.25 * x[10:13]
-    ahead = x.copy()
-    ahead[6:10] += (
-        q4 * w1 - q3 * w2 + q2 * w3,
-        q3 * w1 + q4 * w2 - q1 * w3,
-        -q2 * w1 + q1 * w2 + q4 * w3,
-        -q1 * w1 - q2 * w2 - q3 * w3,
-    )
-    ahead[6:10] /= length(ahead[6:10])
-    return ahead
-
-
 def turn(x: ndarray, axis: int, c: InspectionParameters) -> ndarray:
     """g's column of the torque about a body axis, (16, B)."""
     out = np.zeros_like(x)
@@ -287,80 +199,6 @@ def turn(x: ndarray, axis: int, c: InspectionParameters) -> ndarray:
 def slope(h: Callable[[ndarray], ndarray], x: ndarray, direction: ndarray, step: float) -> ndarray:
     """Central difference of h along a direction."""
     return (h(x + step * direction) - h(x - step * direction)) / (2 * step)
-
-
-def thrust_values(x: ndarray) -> ndarray:
-    """The paper's h of each row, (11, B), one passive safety row per segment."""
-    h = paper(x)
-    return np.stack((*h[:3], *(passive_safety(x, *span) for span in SEGMENTS), *h[4:7]))
-
-
-def thrust_barriers(x: ndarray) -> ndarray:
-    """(11, B), the keep-in zone by the thrust left."""
-    h = thrust_values(x)
-    h[2] = keep_in_curve(x)
-    return h
-
-
-def thrust_gain(psi: ndarray) -> ndarray:
-    """alpha's factor, (11, B): that of passive safety doubles at 30 m, and none exceeds half a call per second."""
-    rising = np.zeros_like(psi)
-    rising[PSM] = (psi[PSM] / EXACT.passive_safety_doubling) ** 2
-    return np.minimum(THRUST_ROWS[0] * (1 + rising), 0.5)
-
-
-def thrust_fall(x: ndarray) -> ndarray:
-    """(11, B). |v| curves by |a|^2 / (2 |v|); no more of it all counts than half of alpha at rest."""
-    fall = np.broadcast_to(THRUST_ROWS[2], (11, x.shape[1])).copy()
-    fall[1] = np.minimum(fall[1] + MOST**2 / (2 * speed_limit(x)), 0.5 * EXACT.speed_gain * speed_limit(x))
-    return fall
-
-
-def first_psi(x: ndarray, c: InspectionParameters) -> ndarray:
-    """L_f h + alpha(h) without margins, (3, B), of exclusion, temperature and battery at a period of 1 s.
-
-    k1 h, and beyond a limit k2 h, at most half of the rate of a turn, of cooling in the dark, of full charge.
-    """
-    along = orientation(x + 1e-30j * drift(x, c), panel(c)).imag / 1e-30
-    h = orientation(x, panel(c))
-    cooling, charge = 5.67051e-8 * 0.06 * 0.03 * 283.15**4 / 1800, (983.3 * 0.77 * 0.03 - 15) / 1000
-    half = np.array([[math.radians(2)], [cooling], [charge]]) / 2
-    return along + np.where(h < 0, np.maximum(TORQUE_ROWS[0][:3] * h, -half), K1[:, None] * h)
-
-
-def torque_values(x: ndarray, c: InspectionParameters) -> ndarray:
-    """The paper's h, (6, B)."""
-    return np.concatenate((orientation(x, panel(c)), np.radians(2) ** 2 - x[10:13] ** 2))
-
-
-def torque_barriers(x: ndarray, c: InspectionParameters) -> ndarray:
-    """(6, B)."""
-    return np.concatenate((first_psi(x, c), torque_values(x, c)[3:]))
-
-
-def torque_fall(x: ndarray, c: InspectionParameters) -> ndarray:
-    """(6, B): omega^2 bends by alpha^2 t^2 beyond its limit, within it the plant saturates."""
-    fall = np.zeros((6, x.shape[1]))
-    bent = min((c.max_torque / min(c.inertia)) ** 2, 0.5 * EXACT.rate_gain * math.radians(2) ** 2)
-    fall[3:] = np.where(torque_values(x, c)[3:] < 0, bent, 0.0)
-    return fall
-
-
-def attainable(b: ndarray, a: ndarray, h: ndarray, names: tuple[str, ...], limit: float) -> ndarray:
-    """b (EXACT, B), where a row's h (EXACT, B) is negative no lower than what actuators give along a (EXACT, 3, B).
-
-    That is `limit` |a|, at most what the rows of the body rates leave about each axis; for the chief all of that.
-    """
-    room = np.full_like(a, limit)
-    for i, name in enumerate(names):
-        if name.startswith("angular_velocity"):
-            axis = "xyz".index(name[-1])
-            left = np.clip(b[i] / np.abs(a[i, axis]), 0, limit)
-            room[:, axis] = np.where(a[:, axis] * a[i, axis] < 0, left, limit)
-    everything = (np.abs(a) * room).sum(1)
-    along = np.minimum(limit * np.sqrt((a**2).sum(1)), everything)
-    chief = np.array(names)[:, None] == "collision"
-    return np.where(h < 0, np.maximum(b, -np.where(chief, everything, along)), b)
 
 
 def flying(count: int = 100) -> ndarray:
@@ -466,14 +304,21 @@ def attitude(x: ndarray, c: InspectionParameters) -> ndarray:
 
 
 @functools.cache
-def stepping(seconds: float, c: InspectionParameters, turns: bool | None) -> Compiled:
-    """`step` in C, with `turns` of bodies: mass, moments and push, (7, B); in a frame that turns, or not."""
+def stepping(seconds: float, c: InspectionParameters, turns: bool | None) -> Callable[..., list[Tensor]]:
+    """`step`, in C where kernels are here, with `turns` of bodies: mass, moments and push, (7, B).
+
+    turns: in a frame that turns, or not.
+    """
 
     def stepped(x: Tensor, u: Tensor, *bodies: Tensor) -> list[Tensor]:
         if turns is None:
             return [step(x, u, seconds, c)]
         mass, inertia, push = bodies[0].split((1, 3, 3))
         return [step(x, u, seconds, c, Body(mass[0], list(inertia), list(push), turns, saturates=False))]
+
+    if not find_spec("kernels"):  # a wing
+        return stepped
+    from kernels.compiled import Compiled
 
     sizes = SIZE, CONTROL_SIZE, *([] if turns is None else [7])
     return Compiled(stepped, *(torch.ones(size, 1, dtype=torch.float64) for size in sizes))
@@ -494,38 +339,45 @@ INF = np.inf
 
 
 @dataclass(frozen=True)
-class Problems:
-    """`qp.Problems` as arrays with the batch first: (N, 3), (N, R, 3), (N, R), (N, R), (R,)."""
+class Programs:
+    """N programs of three controls: desired (N, 3), a (N, R, 3), b (N, R), weight (N, R) of slack, 0: must hold."""
 
     desired: ndarray
     a: ndarray
     b: ndarray
-    b_no_margin: ndarray
     weight: ndarray
 
-    def tensors(self) -> qp.Problems:
-        parts = (self.desired, self.a, self.b, self.b_no_margin)
-        return qp.Problems(
-            *(torch.tensor(x).movedim(0, -1).contiguous() for x in parts), self.weight.tolist()
-        )
+    def tensors(self) -> list[Tensor]:
+        """With the batch last, as `rta.fast.active_set.solve` takes them."""
+        parts = self.desired, self.a, self.b, self.weight
+        return [torch.tensor(x).movedim(0, -1).contiguous() for x in parts]
+
+    def of(self, chosen: ndarray) -> "Programs":
+        """Some of them."""
+        return Programs(*(part[chosen] for part in vars(self).values()))
 
 
-def projection(problems: Problems) -> ndarray:
+def lhs(u: ndarray, a: ndarray, b: ndarray) -> ndarray:
+    """a u + b of one program or of N."""
+    return (a @ u[..., None])[..., 0] + b
+
+
+def projection(programs: Programs) -> ndarray:
     """The nearest feasible points (N, 3), by trying every set of up to three active rows and bounds."""
-    count = len(problems.desired)
+    count = len(programs.desired)
     box = np.concatenate((np.eye(3), -np.eye(3)))[None].repeat(count, 0)
-    a = np.concatenate((problems.a, box), 1)
-    b = np.concatenate((problems.b, np.ones((count, 6))), 1)
+    a = np.concatenate((programs.a, box), 1)
+    b = np.concatenate((programs.b, np.ones((count, 6))), 1)
     best, nearest = np.full(count, np.inf), np.full((count, 3), np.nan)
     for size in range(4):
         for active in itertools.combinations(range(a.shape[1]), size):
-            normals, short = a[:, active], lhs(problems.desired, a[:, active], b[:, active])
+            normals, short = a[:, active], lhs(programs.desired, a[:, active], b[:, active])
             gram = normals @ normals.transpose(0, 2, 1)
             independent = np.abs(np.linalg.det(gram)) > 1e-12
             gram[~independent] = np.eye(size)
             shift = np.linalg.solve(gram, short[..., None])
-            u = problems.desired - (normals.transpose(0, 2, 1) @ shift)[..., 0]
-            distance = ((u - problems.desired) ** 2).sum(1)
+            u = programs.desired - (normals.transpose(0, 2, 1) @ shift)[..., 0]
+            distance = ((u - programs.desired) ** 2).sum(1)
             better = independent & (distance < best) & (lhs(u, a, b) >= -1e-10).all(1)
             best[better], nearest[better] = distance[better], u[better]
     return nearest
@@ -534,7 +386,8 @@ def projection(problems: Problems) -> ndarray:
 def least_distance(desired: ndarray, a: ndarray, b: ndarray, weight: ndarray) -> ndarray:
     """The control (3,) of one program with slack, by Lawson and Hanson's reduction to non-negative least squares.
 
-    With z = (u - desired, sqrt(weight) delta) the program is: the shortest z with G z >= h.
+    With z = (u - desired, sqrt(weight) delta) the program is: the shortest z with G z >= h. Weight: infinite for a row
+    that must hold.
     """
     soft = np.isfinite(weight)
     relief = np.eye(len(weight))[:, soft] / np.sqrt(weight[soft])
@@ -560,20 +413,45 @@ def feasible(a: ndarray, b: ndarray) -> ndarray:
     return tallest.x[3::4] >= 0.0
 
 
-def given_slack(problems: Problems) -> ndarray:
-    """Slack weights (N, R), infinite where a row is held: as few of the lowest weights as leave a program feasible."""
-    given = np.full(problems.b.shape, np.nan)
-    for highest in (0.0, *np.unique(problems.weight[np.isfinite(problems.weight)])):
-        left = np.flatnonzero(np.isnan(given[:, 0]))
-        held = problems.weight > highest
-        if left.size and held.any():
-            left = left[feasible(problems.a[left][:, held], problems.b_no_margin[left][:, held])]
-        given[left] = np.where(held, INF, problems.weight)
-    return given
+def given_slack(programs: Programs) -> ndarray:
+    """Slack weights (N, R), infinite where a row is held: none is given where all rows can hold at once."""
+    can = feasible(programs.a, programs.b)[:, None]
+    return np.where(can | (programs.weight == 0.0), INF, programs.weight)
 
 
-def with_slack(problems: Problems, given: ndarray | None = None) -> ndarray:
+def with_slack(programs: Programs, given: ndarray | None = None) -> ndarray:
     """The reference's controls (N, 3), with `given_slack` unless that is known."""
-    given = given_slack(problems) if given is None else given
-    programs = zip(problems.desired, problems.a, problems.b_no_margin, given, strict=True)
-    return np.array([least_distance(*program) for program in programs])
+    given = given_slack(programs) if given is None else given
+    parts = zip(programs.desired, programs.a, programs.b, given, strict=True)
+    return np.array([least_distance(*program) for program in parts])
+
+
+def by_nnls(a: ndarray, b: ndarray, desired: ndarray, weight: float = WEIGHT) -> ndarray:
+    """The controls (6,) of one program of the paper, by the dual of its least-distance form.
+
+    Lawson and Hanson 1974, ch. 23. Controls are in units of limits; the first of its rows must hold, and all of them
+    where the weight of slack is infinite.
+    """
+    soft = np.eye(len(b))[:, 1:] / math.sqrt(weight) if math.isfinite(weight) else np.zeros((len(b), 0))
+    count = soft.shape[1]
+    bounds = np.hstack((np.vstack((np.eye(6), -np.eye(6))), np.zeros((12, count))))
+    g, start = np.vstack((np.hstack((a, soft)), bounds)), np.append(desired, np.zeros(count))
+    h = np.append(-b, -np.ones(12)) - g @ start
+    length = np.sqrt((g**2).sum(1))
+    g, h = g[length > 0.0] / length[length > 0.0, None], h[length > 0.0] / length[length > 0.0]
+    scale = max(1.0, np.abs(h).max())
+    e, f = np.vstack((g.T, h / scale)), np.append(np.zeros(len(start)), 1.0)
+    r = e @ nnls(e, f, maxiter=10_000)[0] - f
+    return (start - scale * r[:-1] / r[-1])[:6]
+
+
+# The paper's barriers
+
+
+def last_psi(x: ndarray) -> ndarray:
+    """Psi_0 of relative degree one and Psi_1 = dh/dt + k_1 h of degree two, by complex steps, (13, B)."""
+    psi = paper(x)
+    k = np.array([[limit.gains[0]] for limit in PAPER.values()])[7:10]
+    along = orientation(x + 1e-30j * drift(x, C), panel(C)).imag / 1e-30
+    psi[7:10] = along + k * orientation(x, panel(C))
+    return psi

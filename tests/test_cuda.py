@@ -10,11 +10,10 @@ from ppo.learner import PPO
 from ppo.network import Policy, Value
 from ppo.parameters import PPOParameters
 from ppo.rollout import collect
+from rta.fast.filter import batched, fast
+from rta.fast.vectors import states
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from rta.qp.active_set import ActiveSet
-from rta.qp.programs import Problems
-from tests.rta.qp.test_active_set import synthetic
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 C = InspectionParameters()
@@ -22,7 +21,7 @@ DEVICES = ("cpu", "cuda")
 
 
 def environment(device: str, batch: int, rta: bool) -> InspectionEnv:
-    safety_filter = SafetyFilter(C, RtaParameters())
+    safety_filter = batched(SafetyFilter(C, RtaParameters()))
     generator = torch.Generator(device).manual_seed(0)
     return InspectionEnv(batch, C, [generator], safety_filter.safety(rta))
 
@@ -43,14 +42,15 @@ def test_an_episode_is_the_same_on_both_devices(rta: bool) -> None:
     torch.testing.assert_close(observations[0], observations[1], rtol=1e-5, atol=1e-5)
 
 
-def test_the_active_set_method_gives_the_same_answers_on_both_devices() -> None:
-    problems = synthetic(300, 11, seed=0)
-    parts = (problems.desired, problems.a, problems.b, problems.b_no_margin)
-    asked = [Problems(*(x.to(device) for x in parts), problems.weight) for device in DEVICES]
-    answers = [ActiveSet().solve(each) for each in asked]
+def test_the_filter_gives_the_same_answers_on_both_devices() -> None:
+    x, desired = states(300, 0, C)
+    own = SafetyFilter(C, RtaParameters())
+    answers = [fast(own, device, 300).correct(x.to(device), desired.to(device)) for device in DEVICES]
     assert answers[1].control.is_cuda
     assert (answers[0].status == answers[1].status.cpu()).all()
-    torch.testing.assert_close(answers[0].control, answers[1].control.cpu(), rtol=0, atol=1e-6)
+    limit = x.new_tensor(C.control_limit)[:, None]
+    found = [each.control.cpu() / limit for each in answers]
+    torch.testing.assert_close(*found, rtol=0, atol=1e-6)
 
 
 def test_the_learner_trains_on_the_gpu() -> None:

@@ -1,6 +1,7 @@
 """The command line: every bad input ends in one line and exit code 2; good input writes what is promised."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,13 @@ import torch
 
 import main
 from inspection.transition import METRICS
-from rta.constraints.names import CONSTRAINTS
+from rta.fast.program import FastProgram
+from rta.names import CONSTRAINTS
+from rta.paper import PaperFilter
 from settings import configured, from_toml, override
 from study import experiment
 from study.config import Config
 from study.training import session as training
-from tests.support.solvers import SOLVERS
 
 STATE: dict[str, Any] = {
     "position": [60.0, 10.0, -20.0],
@@ -60,6 +62,21 @@ def assert_refused(arguments: list[str], words: list[str], capsys: pytest.Captur
     assert err.startswith("error: ")
     for word in words:
         assert word in err
+
+
+@pytest.mark.parametrize(
+    ("command", "gone"),
+    [
+        (["export", "--filter", "c"], "study.export"),
+        (["break-points"], "experiments"),
+        (["train", "--cache-dir", "kept", "--interactions", "2"], "kernels.build"),
+    ],
+)
+def test_a_command_whose_wing_was_taken_off_says_so(
+    command: list[str], gone: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, gone, None)
+    assert_refused(command, [f"{command[0]}: needs {gone.replace('.', '/')}", "not here"], capsys)
 
 
 @pytest.fixture(scope="module")
@@ -174,9 +191,12 @@ def test_flags_override_the_file(tmp_path: Path) -> None:
 def test_settings_are_printed_without_what_a_command_needs_to_run(
     command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, out, err = call([command, "--print-config", "--rta.speed_gain", "0.4"], capsys)
+    code, out, err = call([command, "--print-config", "--rta.period", "5"], capsys)
     assert (code, err) == (0, "")
-    assert from_toml(out, "test", Config()).rta.speed_gain == 0.4
+    assert from_toml(out, "test", Config()).rta.period == 5.0
+
+
+PROGRAMS = {"piqp": PaperFilter, "batched": FastProgram}
 
 
 @pytest.mark.parametrize(("wanted", "used"), [("auto", "batched"), ("piqp", "piqp")])
@@ -186,14 +206,14 @@ def test_a_run_says_which_solver_it_uses_and_keeps_it(wanted: str, used: str, tm
     tables = {"train": train, "rta": {"qp_solver": wanted}, "ppo": {"minibatch_size": 4}}
     run = training.start(override(Config(), tables, "test"), directory)
     assert f"by {used}" in str(run)
-    assert type(run.experiment.filter.solver) is SOLVERS[used]
-    assert type(training.resume(directory).experiment.filter.solver) is SOLVERS[used]
+    assert type(run.experiment.filter.program) is PROGRAMS[used]
+    assert type(training.resume(directory).experiment.filter.program) is PROGRAMS[used]
 
 
 def test_test_cases_do_not_depend_on_their_number_or_on_the_filter() -> None:
     few = experiment.test_cases(Config(), 2, 0).x
-    gains = {"exclusion_margin": 0.1, "battery_gains": [0.001, 0.1]}
-    many = experiment.test_cases(override(Config(), {"rta": gains}, "test"), 300, 0).x
+    slow = {"period": 10.0}
+    many = experiment.test_cases(override(Config(), {"rta": slow}, "test"), 300, 0).x
     assert torch.equal(few, many[:, :2])
 
 

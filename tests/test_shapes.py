@@ -91,7 +91,7 @@ def test_what_a_json_file_must_hold_is_said(here: Path) -> None:
         ({"upper_bound_95": None}, "upper_bound_95: must be a number, not null"),
         ({"slack_together": {"a": 3}}, "not subscriptable"),
         ({"campaign": 3}, "campaign: must be an object, not a count"),
-        ({"starts_beyond_braking": {"episodes": 1}}, "is missing"),
+        ({"starts_rejected": -1}, "starts_rejected: must be a count, not a negative integer"),
     ],
 )
 def test_a_report_is_checked_to_its_depth_before_it_is_continued(

@@ -327,11 +327,11 @@ class Plant(Fixed):
         return self.held, missed
 
     def filter_inputs(self, time: Tensor) -> dict[str, Tensor]:
-        """The controls held since the state was measured, NaN where it is younger; what is left of each actuator."""
+        """The controls held since the state was measured, NaN where it is younger."""
         age = self.drawn.latency.minimum((time / self.every).round().long())
         last = torch.arange(len(self.past), 0, -1, device=age.device)[:, None]  # how many calls ago
         sent = torch.where((last <= age)[:, None], self.past, torch.nan)
-        return {"sent": sent, "left": self.left(time)}
+        return {"sent": sent}
 
     def left(self, time: Tensor) -> Tensor:
         """(6, B) the share that each actuator gives of what it is told."""

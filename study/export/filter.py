@@ -1,10 +1,10 @@
-"""The filter of a configuration as C99 for flight software, see `rta.printed.files`, with what was verified of it."""
+"""The filter of a configuration as C99 for flight software, see `rta.fast.files`, with what was verified of it."""
 
 import shlex
 from pathlib import Path
 
 from kernels.exported import check_prefix
-from rta.printed.files import NAME, NOT_VERIFIED, write
+from rta.fast.files import NAME, NOT_VERIFIED, write
 from study.config import Config
 from study.errors import as_input_error
 from study.experiment import check_chief, checked_filter
@@ -25,7 +25,7 @@ def export(config: Config, directory: Path, prefix: str = NAME) -> str:
     """Writes the filter of a configuration into a directory, which may hold an older one; returns what to say of it.
 
     Args:
-        prefix: as of `rta.printed.files.write`.
+        prefix: as of `rta.fast.files.write`.
 
     Raises:
         InputError: a part of the configuration does not fit, the directory holds anything else, or cannot be written.

@@ -25,8 +25,8 @@ from inspection.sight import Sight
 from kernels.exported import REFUSES_FAST_MATH, check_directory, check_prefix, prefixed
 from kernels.printer import Printed, printed
 from ppo.network import Policy
-from rta.printed.files import CONTROL, STATE
-from rta.printed.source import define, for_one, table
+from rta.fast.files import CONTROL, STATE
+from rta.fast.source import define, for_one, table
 from study.config import Config
 from study.errors import as_input_error
 from study.experiment import check_chief

@@ -18,8 +18,8 @@ from inspection.orbits import GUIDANCE
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS, Transition
 from ppo.network import Policy
-from rta.constraints.names import CONSTRAINTS
-from rta.qp.programs import Status
+from rta.names import CONSTRAINTS
+from rta.result import Status
 from study.config import TEST_CASES, Config
 from study.experiment import Experiment, test_cases
 from study.flight.controllers import agent, classical, untrained

@@ -13,7 +13,7 @@ from inspection.environment import InspectionEnv
 from inspection.reward import stays_clear
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS, Transition
-from rta.qp.programs import Status
+from rta.result import Status
 
 SUCCESS = OUTCOMES.index("success")
 ROUNDING = 1e-10  # slack that does not count, in units of h's rate; even rows that never yield reach 1e-12

@@ -9,11 +9,11 @@ from pathlib import Path
 import torch
 
 from ppo.network import Policy
-from settings import InputError, load
-from study.config import Config, StudyConfig
+from settings import InputError
+from study.config import Config
 from study.experiment import load_policy, make_policy
 from study.paper import Results
-from study.report.inputs import read_arms
+from study.report.inputs import read_arms, read_settings
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def agents_of(study: Path, device: str | None) -> dict[str, Arm]:
         raise InputError(
             f"{path}: {', '.join(old)} was evaluated by an older revision; that one can report it"
         )
-    wanted = load(study / "config.toml", StudyConfig()).study.arms
+    wanted = read_settings(study).study.arms
     if unfinished := [name for name in wanted if name not in arms]:
         print(f"--study {study}: {', '.join(unfinished)} is not finished and is left out", file=sys.stderr)
     return {name: load_arm(study / name, results, device) for name, results in arms.items()}

@@ -14,7 +14,7 @@ from inspection.closed_loop import Controller
 from inspection.environment import InspectionEnv
 from inspection.orbits import GUIDANCE
 from inspection.transition import METRICS, Transition
-from rta.bounds.uncertainty import Uncertainty
+from inspection.world.uncertainty import Uncertainty
 from rta.parameters import PERIODS
 from settings import load
 from study.config import BASELINES, GUIDE, TEST_CASES, Config

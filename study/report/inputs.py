@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from settings import load
-from study.config import ARMS, GUIDE, StudyConfig
+from study.config import ARMS, GUIDE, StudyConfig, recorded
 from study.errors import MALFORMED, as_input_error
 from study.files import check_like, read_json, read_npz
 from study.flight.figures import Episode
@@ -77,6 +76,13 @@ class Inputs:
         return self.arms | ({"guidance": self.guidance} if self.guidance else {})
 
 
+def read_settings(study: Path) -> StudyConfig:
+    """Returns the configuration of a finished study; raises InputError where it cannot be read."""
+    path = study / "config.toml"
+    with as_input_error(f"{path}: cannot read the configuration", OSError, ValueError):
+        return recorded(path.read_text(encoding="utf-8"), str(path), StudyConfig())
+
+
 def read(study: Path) -> Inputs:
     """Reads a study's files.
 
@@ -87,7 +93,7 @@ def read(study: Path) -> Inputs:
     arms = read_arms(study)
     return Inputs(
         study=study,
-        config=load(study / "config.toml", StudyConfig()),
+        config=read_settings(study),
         arms=arms,
         own=read_arms(study, own=True),
         provenance=read_json(study / "provenance.json", "provenance"),

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from inspection.transition import METRICS
-from rta.constraints.names import CONSTRAINTS
+from rta.names import CONSTRAINTS
 from study.config import ARMS
 from study.errors import MALFORMED, as_input_error
 from study.files import read_json_lines, write_json, write_text

@@ -13,7 +13,7 @@ from torch import Tensor
 from inspection.closed_loop import Correction, Safety
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS, Transition
-from rta.qp.programs import Status
+from rta.result import Status
 
 EPISODE = tuple(name.removeprefix("episode_") for name in (*METRICS, "success_percent"))
 

@@ -9,7 +9,7 @@ import numpy as np
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
 from ppo.distributed import ranks
-from rta.constraints.names import CONSTRAINTS
+from rta.names import CONSTRAINTS
 from settings import InputError, load
 from study.config import TEST_CASES, StudyConfig
 from study.errors import MALFORMED, Stopped, as_input_error

@@ -5,27 +5,26 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from columns import if_long
 from inspection.closed_loop import Controller
-from inspection.environment import InspectionEnv
+from inspection.environment import Compiler, InspectionEnv
 from inspection.model.dynamics import step
 from inspection.model.parameters import Model
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
 from inspection.world.corners import ERRORS, displaced
-from kernels.compiled import Compiled
-from kernels.printer import if_long
 from ppo.network import Policy
-from rta.constraints.names import ATTITUDE, OWN, TRANSLATIONAL
-from rta.flown_paper import FlownPaperFilter
-from study.experiment import AnyFilter
+from rta.filter import SafetyFilter
+from rta.names import ATTITUDE, OWN, TRANSLATIONAL
 from study.scales import scales
 
 NEXT_TO_NOTHING = 1e-9  # m, m/s, rad, rad/s; PyTorch has no derivative by a rotation vector at zero
-LONGEST_ACTION = 60  # s that the random policy holds an action
 # Rows of the constraints by who holds them, and the controls of theirs.
 GROUPS = (
     (slice(0, len(TRANSLATIONAL)), THRUST),
     (slice(len(TRANSLATIONAL), len(TRANSLATIONAL) + len(ATTITUDE)), TORQUE),
 )
+NO_INFLUENCE = 1e-9  # length, in h's unit per s and actuator limit, of a row that a group does not change
+LONGEST_ACTION = 60  # s that the random policy holds an action
 
 
 def held_at_random(c: Model, generator: torch.Generator, batch: int, first: int = 0) -> Controller:
@@ -65,34 +64,30 @@ def learned(
     return control
 
 
-def adversarial(safety_filter: AnyFilter) -> Controller:
+def adversarial(safety_filter: SafetyFilter, compiler: Compiler | None = None) -> Controller:
     """Full control along the steepest descent of the worst thrust row and of the worst torque row.
 
     The worst row is the one that zero control comes closest to breaking, in units of the actuators' limits.
     """
 
-    def of_states(x: Tensor) -> list[Tensor]:
-        if isinstance(safety_filter, FlownPaperFilter):
-            a, b, *_ = safety_filter.evaluated(x)
-            return [part for rows, own in GROUPS for part in (a[rows, own], b[rows])]
-        thrust, torque = safety_filter.rows(x)
-        return [thrust.a, thrust.b, torque.a, torque.b]
+    def worst_rows(x: Tensor) -> list[Tensor]:
+        """Of each group, the row (3, B) per actuator limit that zero control comes closest to breaking."""
+        a, b, *_ = safety_filter.program.evaluated(x)
+        a = a * x.new_tensor(safety_filter.c.control_limit)[:, None]
+        worst = []
+        for own in (THRUST, TORQUE):
+            length = a[:, own].norm(dim=1)
+            distance = torch.where(length > NO_INFLUENCE, b / length.clamp(min=NO_INFLUENCE), torch.inf)
+            worst.append(a[:, own].gather(0, distance.argmin(0).expand(1, 3, -1))[0])
+        return worst
 
-    rows_at: Callable[[Tensor], list[Tensor]] = of_states
-    if safety_filter.compiled and not isinstance(safety_filter, FlownPaperFilter):
-        long = if_long(len(safety_filter.c.planes))  # of a hull
-        rows_at = Compiled(of_states, safety_filter.probe("cpu")[0], long=long)
-    limits = safety_filter.c.max_thrust, safety_filter.c.max_torque
+    rows_at: Callable[[Tensor], list[Tensor]] = worst_rows
+    if compiler:
+        rows_at = compiler(worst_rows, safety_filter.probe()[0], long=if_long(len(safety_filter.c.planes)))
 
     def control(t: float, x: Tensor) -> Tensor:
-        halves = []
-        rows = rows_at(x)
-        for limit, a, b in zip(limits, rows[::2], rows[1::2], strict=True):
-            a = a * limit
-            worst = (b / a.norm(dim=1).clamp(min=1e-9)).argmin(0)
-            descent = -a.gather(0, worst.expand(1, 3, -1))[0]
-            halves.append(limit * descent / descent.abs().amax(0).clamp(min=1e-12))
-        return torch.cat(halves)
+        halves = [-row / row.abs().amax(0).clamp(min=1e-12) for row in rows_at(x)]
+        return torch.cat(halves) * x.new_tensor(safety_filter.c.control_limit)[:, None]
 
     return control
 
@@ -112,7 +107,7 @@ class Greedy:
         attacked: (constraints, B) bool, the constraints that count in each episode; None: all.
     """
 
-    def __init__(self, safety_filter: AnyFilter, attacked: Tensor | None = None) -> None:
+    def __init__(self, safety_filter: SafetyFilter, attacked: Tensor | None = None) -> None:
         self.filter, self.attacked = safety_filter, attacked
         self.scale = scales(safety_filter.c, safety_filter.period)
         self.last: Tensor | None = None

@@ -7,8 +7,7 @@ bound per draw is Clopper and Pearson's.
 
 import dataclasses
 import sys
-from collections.abc import Iterator
-from copy import copy
+from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -19,27 +18,26 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from columns import if_long
 from inspection.closed_loop import Smallest
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
-from kernels.compiled import Compiled
-from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
-from rta.lie_derivatives import Function
-from rta.qp.programs import Status
+from rta.names import CONSTRAINTS
+from rta.result import Status
 from study.config import Config
 from study.errors import as_input_error
 from study.experiment import Experiment, check_clocks, check_is_checked
 from study.files import write_json
 from study.flight.fly import with_any
 from study.flight.summary import upper_bound
-from study.machine import bar, compile_or_explain
+from study.machine import bar
 from study.verification.adversaries import adversarial
 from study.verification.campaign import blamed
 from study.verification.findings import WIDTH, report_in
 from study.verification.limits import BISECTIONS, CANDIDATES, NearLimits, barriers, near_limits
 from study.verification.starts import spawned
-from study.verified import fingerprint
+from study.verified import fingerprint, gains_of
 
 BATCH = 4096  # states drawn at once
 TRIES = 4  # desired controls at each of them
@@ -138,6 +136,7 @@ def empty_report(campaign: Any, config: Config) -> dict[str, Any]:
         "pairs": {},
         "worst": {name: [] for name in CONSTRAINTS},
         "fingerprint": fingerprint(config),
+        "gains": gains_of(),
         "config": dataclasses.asdict(config),
     }
 
@@ -205,18 +204,15 @@ def table(report: dict[str, Any]) -> str:
     return "\n".join(fill(line, WIDTH, subsequent_indent=" " * 11) for line in lines)
 
 
-def barriers_of(experiment: Experiment) -> Function:
-    """`barriers` of the experiment's filter; compiled with it, which halves the time of a draw."""
-    safety_filter, compiled = experiment.checked_filter, []
-
-    def compile() -> None:
-        bare = copy(safety_filter)  # not compiled: compiled code cannot be recorded
-        x, _ = safety_filter.probe(experiment.device)
-        compiled.append(Compiled(lambda y: [barriers(y, bare)], x, batch=BATCH))
-
-    if experiment.filter_compiled and compile_or_explain("barriers", compile):
-        return lambda x: compiled[0](x)[0]
-    return partial(barriers, safety_filter=safety_filter)
+def barriers_of(experiment: Experiment) -> Callable[[Tensor], Tensor]:
+    """Returns `barriers` of the experiment's filter, compiled where that is."""
+    safety_filter = experiment.checked_filter
+    if not experiment.filter_compiled:
+        return partial(barriers, safety_filter=safety_filter)
+    example = safety_filter.probe(experiment.device)[0]
+    long = if_long(len(safety_filter.c.planes))
+    compiled = experiment.compiler(lambda x: [barriers(x, safety_filter)], example, long=long)
+    return lambda x: compiled(x)[0]
 
 
 def run(

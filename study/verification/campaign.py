@@ -15,11 +15,9 @@ from torch import Tensor
 from inspection.closed_loop import Controller, Safety
 from inspection.environment import InspectionEnv
 from inspection.model.draws import uniform
-from kernels.build import NoCompilerError
+from inspection.world.uncertainty import Uncertainty
 from ppo.network import Policy
-from rta.bounds.uncertainty import Uncertainty
-from rta.constraints.names import CONSTRAINTS
-from rta.printed.loaded import InC
+from rta.names import CONSTRAINTS
 from settings import InputError
 from study.config import Config
 from study.errors import as_input_error
@@ -33,7 +31,7 @@ from study.verification.adversaries import Greedy, adversarial, attacked, held_a
 from study.verification.counter_examples import counter_example
 from study.verification.findings import Campaign, report_in, table
 from study.verification.lookahead import CANDIDATES, HORIZON, Lookahead
-from study.verification.starts import holdable, initial_states, spawned
+from study.verification.starts import initial_states, spawned
 from study.verification.tally import add
 from study.verification.tape import CHECK_EVERY, Tape, Teller
 
@@ -69,7 +67,7 @@ def run(
     its first ones are flown, and a longer campaign goes on with the rest.
 
     Args:
-        episodes: from starts that the filter can hold.
+        episodes: how many.
         network: of a policy in a file, else None.
         path: a JSON file; beside it a violated constraint leaves its worst episode, FILE.CONSTRAINT.npz.
         keep_worst: every constraint does, violated or not.
@@ -79,43 +77,41 @@ def run(
     config, env = experiment.config, None
     decide_every = decides_every(config, network)
     report = report_in(path, campaign, config, table)
-    beyond, kept_below = report["starts_beyond_braking"], math.inf if keep_worst else 0.0
+    kept_below = math.inf if keep_worst else 0.0
     while report["episodes"] < episodes:
-        number, first = divmod(report["episodes"] + beyond["episodes"], campaign.batch_size)
+        number, first = divmod(report["episodes"], campaign.batch_size)
         batch_seed = np.random.SeedSequence((campaign.seed, number)).generate_state(1)[0]
         seed_of_starts, seed_of_controls, seed_of_plants = spawned(int(batch_seed), 3)
         drawing = step("drawing the starts, some seconds a batch")
         with as_input_error(blamed(config), RuntimeError), drawing:
             x, priority, rejected = initial_states(campaign.batch_size, seed_of_starts, experiment.filter)
-        held = holdable(x, experiment.filter)[first:]
-        held = held[held.cumsum(0) - held.long() < episodes - report["episodes"]]
-        count = held.numel()
+        count = min(campaign.batch_size - first, episodes - report["episodes"])
         if env is None or env.time.numel() != count:
             env = experiment.env(count, None, decide_every, campaign.check_every, experiment.filter_compiled)
         controller = commanding(campaign, experiment, env, network, seed_of_controls, first)
         yield report
 
         x, priority = (part[:, first : first + count].to(env.x) for part in (x, priority))
-        held, before = held.to(env.x.device), dict(report["worst_value"])
+        before = dict(report["worst_value"])
 
         tape = Tape(campaign.duration, first)
-        progress = Teller(telling(tell, report, held, campaign.duration))
+        progress = Teller(telling(tell, report, count, campaign.duration))
         plants = torch.Generator().manual_seed(seed_of_plants)
         number = uniform(0.0, 1.0, campaign.batch_size, plants)[first : first + count].to(env.x)
         flight = fly(env, controller, Starts(x, priority, number), campaign.duration, [tape, progress])
         origin = {"batch_seed": seed_of_starts, "batch_size": campaign.batch_size}
-        add(beyond, flight, tape, ~held, origin)
-        add(report, flight, tape, held, origin)
+        everywhere = torch.ones(count, dtype=torch.bool, device=env.x.device)
+        add(report, flight, tape, everywhere, origin)
         report["upper_bound_95"] = upper_bound(report["violating_episodes"]["any"], report["episodes"])
         if first == 0:
-            report["starts_rejected_by_margin"] += rejected
+            report["starts_rejected"] += rejected
         if path is not None:
             for name in CONSTRAINTS:
                 now, then = (
                     math.inf if w[name] is None else w[name] for w in (report["worst_value"], before)
                 )
                 if now < min(then, kept_below):
-                    example = counter_example(flight, tape, held, name, config, campaign.check_every)
+                    example = counter_example(flight, tape, everywhere, name, config, campaign.check_every)
                     write_npz(f"{path}.{name}.npz", example)
             write_json(path, report)
     yield report
@@ -148,7 +144,7 @@ def commanding(
     if campaign.policy == "random":
         return held_at_random(experiment.config.inspection, generator, batch, first)
     if campaign.policy == "adversarial":
-        return adversarial(experiment.filter)
+        return adversarial(experiment.filter, experiment.compiler if experiment.filter_compiled else None)
     if campaign.policy == "pressing":
         return greedy
     count = env.time.numel() * campaign.candidates
@@ -231,6 +227,9 @@ def check_times(campaign: Campaign, config: Config, network: Policy | None) -> N
 
 def exported(experiment: Experiment, filter_in: str) -> Safety:
     """What the environment needs, with the filter that is exported."""
+    from kernels.build import NoCompilerError
+    from rta.fast.loaded import InC
+
     if experiment.device.type != "cpu":
         raise InputError(f"--filter {filter_in}: runs on a CPU only; add --device cpu")
     with (
@@ -242,13 +241,13 @@ def exported(experiment: Experiment, filter_in: str) -> Safety:
 
 
 def telling(
-    tell: Callable[[float, int, int], None], report: dict[str, Any], held: Tensor, duration: float
+    tell: Callable[[float, int, int], None], report: dict[str, Any], count: int, duration: float
 ) -> Callable[[float, Tensor], None]:
-    """What `fly` is to tell of a batch that goes into the report where `held` (B,) is set."""
-    before, violating_before, count = report["episodes"], report["violating_episodes"]["any"], int(held.sum())
+    """What `fly` is to tell of a batch of so many episodes."""
+    before, violating_before = report["episodes"], report["violating_episodes"]["any"]
 
     def told(time: float, violating: Tensor) -> None:
-        now = violating_before + int(violating[held].sum())
+        now = violating_before + int(violating.sum())
         tell(before + count * time / duration, now, before + count)
 
     return told

@@ -12,10 +12,10 @@ from inspection.closed_loop import Hold
 from inspection.model.attitude import unit
 from inspection.model.state import P
 from inspection.world.corners import Recorded
-from rta.constraints.names import CONSTRAINTS
+from rta.names import CONSTRAINTS
 from rta.result import FilterResult
-from settings import from_toml, override, to_toml
-from study.config import Config
+from settings import override, to_toml
+from study.config import Config, recorded
 from study.errors import MALFORMED, ReflyError, as_input_error
 from study.experiment import Experiment, check_clocks
 from study.files import load_arrays
@@ -129,17 +129,17 @@ def refly_file(path: str) -> str:
     with as_input_error(f"{path}: not a counter-example of verify", *MALFORMED):
         # any machine can fly it: the filter is asked beside the loop
         beside = {"train": {"rta": False, "device": "cpu"}, "rta": {"period": float(example["period"])}}
-        config = override(from_toml(str(example["config"]), path, Config()), beside, path)
+        config = override(recorded(str(example["config"]), path, Config()), beside, path)
         check_clocks(config, config.rta.period, float(example["check_every"]), where=path)
         if not config.plant.is_nominal:
             more = ("number", "corners") if config.plant.errors == "worst" else ("number",)
             example |= load_arrays(path, more, "counter-example", where_missing="")
         value, when, difference = refly(Experiment(config, 1), example)
-        recorded = float(example["value"])
+        was = float(example["value"])
     outcome = (
-        f"{path}: {example['constraint']} falls to {value:.12g} at {when:g} s; recorded {recorded:.12g}; "
+        f"{path}: {example['constraint']} falls to {value:.12g} at {when:g} s; recorded {was:.12g}; "
         f"the filter's controls differ by at most {difference:.1e} of their limits"
     )
-    if not math.isclose(value, recorded, rel_tol=AGREES, abs_tol=AGREES):
+    if not math.isclose(value, was, rel_tol=AGREES, abs_tol=AGREES):
         raise ReflyError(f"{outcome}: not what was recorded")
     return outcome

@@ -7,9 +7,9 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from rta.constraints.names import CONSTRAINTS
+from rta.names import CONSTRAINTS
 from settings import InputError, override
-from study.config import Config
+from study.config import Config, of_today
 from study.errors import MALFORMED, as_input_error
 from study.files import check_like, read_json
 from study.verification.tally import empty_tally
@@ -48,19 +48,16 @@ class Campaign:
 def empty_report(campaign: Campaign, config: Config) -> dict[str, Any]:
     """A report of no episodes, the form of `verify --json`.
 
-    Its own tally and bound are over the starts that the filter can hold in any attitude. `starts_beyond_braking` has
-    the tally of the others (`SafetyFilter.can_brake`), where keep-in zone and actuators can conflict from the start
-    on. `starts_rejected_by_margin` counts states left out as in `safe_set`. `fingerprint` is that of the plant and the
+    `starts_rejected` counts states left out as in `safe_set`. `fingerprint` is that of the plant and the
     filter (`study.verified`).
     """
     return {
         "campaign": dataclasses.asdict(campaign),
         **empty_tally(),
         "upper_bound_95": 1.0,
-        "starts_beyond_braking": empty_tally(),
-        "starts_rejected_by_margin": 0,
+        "starts_rejected": 0,
         "fingerprint": fingerprint(config),
-        "gains": gains_of(config),
+        "gains": gains_of(),
         "config": dataclasses.asdict(config),
     }
 
@@ -89,22 +86,21 @@ def report_in(
             raise ValueError("it is of another command")
         same = type(campaign)(**report["campaign"]) == campaign
         same = same and of_the_same(report["config"], config, path)
-        same = same and report.get("gains", "") == gains_of(config)
+        same = same and report.get("gains", "") == gains_of()
         counted = (each.get("violating_episodes", {}).keys() for each in (report, fresh))
         same = same and len(set(map(frozenset, counted))) == 1  # the same limits
     if not same:
         raise InputError(f"--json {path}: holds another campaign or configuration; name another file")
     with as_input_error(f"--json {path}: holds no report to go on with", *MALFORMED):
         check_like(report, fresh | {"campaign": {}, "config": {}}, ("backup_calls", "fingerprint", "gains"))
-        for counts in (report, report.get("starts_beyond_braking", {})):
-            counts.setdefault("backup_calls", 0)
+        report.setdefault("backup_calls", 0)
         shown(report)
     return report | {name: fresh[name] for name in ("campaign", "fingerprint", "config")}
 
 
 def of_the_same(before: dict[str, Any], config: Config, path: Path) -> bool:
     """Whether the tables of a file are of the same plant and filter; what else they hold is of training."""
-    held = override(Config(), before, str(path))
+    held = override(Config(), of_today(before), str(path))
     parts = "inspection", "rta", "plant", "uncertainty"
     same = all(getattr(held, part) == getattr(config, part) for part in parts)
     return same and of_hull(held.chief) == of_hull(config.chief)
@@ -113,7 +109,7 @@ def of_the_same(before: dict[str, Any], config: Config, path: Path) -> bool:
 def table(report: dict[str, Any]) -> str:
     """A report as text, at most WIDTH columns wide."""
     steps, episodes = report["violating_steps"], report["violating_episodes"]
-    calls, beyond = report["filter_calls"], report["starts_beyond_braking"]
+    calls = report["filter_calls"]
     total = sum(calls.values())
     corrected = 100.0 * (total - calls["untouched"]) / max(total, 1)
     lines = [
@@ -130,14 +126,7 @@ def table(report: dict[str, Any]) -> str:
         f"{total:,} filter calls, {corrected:.1f} % corrected, {calls['slack']:,} with slack, "
         f"{report['unsolved']:,} unsolved, {report['backup_calls']:,} by the backup; controls outside their bounds in "
         f"{report['controls_outside_bounds']:,} episodes",
-        f"beside these {beyond['episodes']:,} starts beyond the filter's keep-in barrier: "
-        f"{beyond['violating_episodes']['any']:,} with violations"
-        + "".join(
-            f"; {name} {count:,} steps, down to {beyond['worst_value'][name]:.3g}"
-            for name, count in beyond["violating_steps"].items()
-            if count and name != "any"
-        ),
-        f"of all starts drawn for these batches the filter refused {report['starts_rejected_by_margin']:,} that keep "
+        f"of all starts drawn for these batches the filter refused {report['starts_rejected']:,} that keep "
         "every limit",
     ]
     together = sorted(report["slack_together"].values(), key=lambda same: -same["calls"])

@@ -3,20 +3,18 @@
 How a state is drawn:
 
 1. A Latin hypercube all over the safe set (`study.verification.starts.states_of`); states outside it are left out.
-2. Half of the states go next to one limit, half next to two, by the weights AIMED. Of each constraint either h or the
-   barrier that the filter enforces (Psi_1 where the relative degree is two) is to be small: a gap is drawn
-   log-uniformly from GAP, in units of `gap_units`. A third of the states has margins instead of limits, what the filter
-   holds where it can.
+2. Half of the states go next to one limit, half next to two, by the weights AIMED. Of each constraint either h or Psi
+   (Psi_1 where the relative degree is two) is to be small: a gap is drawn
+   log-uniformly from GAP, in units of `gap_units`.
 3. One component is moved towards an end beyond the limit, and bisected until the gap is left: distance, speed, attitude
    and so on, drawn from those in WAYS. Of two limits the first is approached again where the second led away from it.
 4. A state counts if an episode may start there (`SafetyFilter.is_safe`), every barrier that is enforced is still
-   non-negative, and those that were to be small are at most the largest gap; within margins, if no margin is touched.
+   non-negative, and those that were to be small are at most the largest gap.
    So limits that are rarely met together have few states, and those that cannot be none.
 """
 
 import itertools
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -28,9 +26,9 @@ from inspection.model.attitude import cross, dot, norm, rotated_by, unit
 from inspection.model.dynamics import sun_and_earth_in_body
 from inspection.model.parameters import AXES, Limits
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
-from rta.constraints.names import CONSTRAINTS
-from rta.filter import SafetyFilter, in_order, joined
+from rta.filter import SafetyFilter
 from rta.lie_derivatives import Function
+from rta.names import CONSTRAINTS
 from study.verification.starts import NUMBERS, spawned, states_of
 
 GAP = 1e-6, 1e-1  # smallest and largest
@@ -87,11 +85,6 @@ class NearLimits:
     gaps: Tensor
     column: Tensor
 
-    @property
-    def within(self) -> Tensor:
-        """(B,) bool: next to margins instead of limits."""
-        return self.targets[0] >= 2 * LIMITS
-
     def __getitem__(self, columns: Tensor) -> "NearLimits":
         return NearLimits(*(part[..., columns] for part in vars(self).values()))
 
@@ -103,23 +96,11 @@ def together(parts: list[NearLimits]) -> NearLimits:
 
 
 def barriers(x: Tensor, safety_filter: SafetyFilter) -> Tensor:
-    """What must not be negative at states (16, B): (3 * constraints, B), constraint by constraint
-
-    every h, then every barrier that is enforced, of several rows the smallest, then the one of them that has a margin
-    (h where the relative degree is two) less that.
-    """
+    """What must not be negative at states (16, B): every h, then every Psi (2 * constraints, B)."""
     if not x.shape[1]:
-        return x.new_zeros(3 * LIMITS, 0)
-    groups, rows = safety_filter.groups, safety_filter.rows(x)
-    smallest = partial(torch.amin, dim=0)
-    h = joined(*(own.h for own in rows))
-    parts = [group.by_constraint(own.psi, smallest) for group, own in zip(groups, rows, strict=True)]
-    entries, enforced = in_order(*(group.constraints for group in groups)), joined(*parts)
-    inner = [
-        (of_h if each.degree == 2 else of_psi) - each.margin
-        for each, of_h, of_psi in zip(entries, h, enforced, strict=True)
-    ]
-    return torch.cat((h, enforced, torch.stack(inner)))
+        return x.new_zeros(2 * LIMITS, 0)
+    _, _, psi, h = safety_filter.program.evaluated(x)
+    return torch.cat((h, psi))
 
 
 def gap_units(safety_filter: SafetyFilter) -> list[float]:
@@ -129,9 +110,8 @@ def gap_units(safety_filter: SafetyFilter) -> list[float]:
     own |= {name: c.max_rate**2 for name in CONSTRAINTS if name.startswith("angular")}
     own |= {"passive_safety": 10.0}  # m; else 1 m/s, rad, deg C, kJ
     h = [own.get(name, 1.0) for name in CONSTRAINTS]
-    entries = in_order(*(group.constraints for group in safety_filter.groups))
-    gains = [safety_filter.parameters.gain(each.gains[0]) if each.degree == 2 else 1.0 for each in entries]
-    return [*h, *(gain * scale for gain, scale in zip(gains, h, strict=True)), *h]
+    gains = [limit.gains[0] if len(limit.gains) == 2 else 1.0 for limit in safety_filter.limits.values()]
+    return [*h, *(gain * scale for gain, scale in zip(gains, h, strict=True))]
 
 
 def ends(x: Tensor, generator: torch.Generator, c: Limits) -> dict[str, Tensor]:
@@ -207,7 +187,7 @@ def approach(
             before = above(between(x, end, middle))
             low, high = torch.where(before, middle, low), torch.where(before, high, middle)
         values = [barriers_at(between(x, end, share)) for share in (low, high)]
-        left = torch.nonzero(safe(values[0].maximum(values[1]), near.within)).flatten()
+        left = torch.nonzero(safe(values[0].maximum(values[1]))).flatten()
     return replace(near, state=between(x, end, low))[left]
 
 
@@ -236,7 +216,7 @@ def near_limits(
         away = barriers_at(both.state).gather(0, both.targets[:1])[0] > GAP[1] * scale[both.targets[0]]
         near = together([near[~pair], both[~away], approach(both[away], 0, generator, barriers_at, c)])
         values = barriers_at(near.state)
-        counts = safe(values, near.within) & safety_filter.is_safe(near.state)
+        counts = safe(values) & safety_filter.is_safe(near.state)
         counts &= (values.gather(0, near.targets) <= GAP[1] * scale[near.targets]).all(0)
         found.append(near[torch.nonzero(counts).flatten()])
         found[-1] = found[-1][found[-1].column.argsort()]
@@ -246,22 +226,21 @@ def near_limits(
     raise RuntimeError(f"only {have} of {count} states found next to the limits")
 
 
-def safe(values: Tensor, within: Tensor | None = None) -> Tensor:
-    """(B,) bool: of `barriers` all are non-negative, those with margins where `within` (B,) is set."""
-    limits, margins = (values >= 0.0).split((2 * LIMITS, LIMITS))
-    return limits.all(0) if within is None else limits.all(0) & (margins.all(0) | ~within)
+def safe(values: Tensor) -> Tensor:
+    """(B,) bool: of `barriers` all are non-negative."""
+    return (values >= 0.0).all(0)
 
 
 def aimed(x: Tensor, scale: Tensor, generator: torch.Generator) -> NearLimits:
     """States x (16, B) with the limits that they are to be moved next to, drawn."""
-    number = torch.rand(7, x.shape[1], generator=generator, dtype=torch.float64).to(x)
+    number = torch.rand(6, x.shape[1], generator=generator, dtype=torch.float64).to(x)
     weight = torch.tensor(list(AIMED.values()), dtype=torch.float64)
     pairs = torch.tensor(PAIRS)
     single = number[0] < 0.5
     limits = torch.where(
         single, drawn(weight, number[1]), pairs.T.to(x.device)[:, drawn(weight[pairs].prod(1), number[1])]
     )
-    targets = limits + LIMITS * torch.where(number[6] < 1 / 3, 2, (number[2:4] < 0.5).long())
+    targets = limits + LIMITS * (number[2:4] < 0.5).long()
     targets[1] = torch.where(single, targets[0], targets[1])
     low, high = np.log(GAP)
     gaps = scale[targets] * (low + (high - low) * number[4:6]).exp()

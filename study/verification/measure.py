@@ -25,12 +25,11 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, P, V
 from ppo.errors import CheckpointError
 from ppo.network import Policy
-from rta.bounds.prediction import KINDS
 from rta.filter import SafetyFilter
 from rta.result import FilterResult
 from settings import InputError, Parser, add_flags, configured, override, positive_integer, positive_number
 from study.config import Config
-from study.experiment import AnyFilter, Experiment, load_policy
+from study.experiment import Experiment, load_policy
 from study.files import write_json
 from study.flight.controllers import agent
 from study.flight.fly import Starts, fly
@@ -41,7 +40,7 @@ from study.verification.starts import NUMBERS, safe_set, states_of
 from study.verification.tape import CHECK_EVERY
 from study.verified import fingerprint
 
-SHORT = {"--rta-filter": "rta.filter", "--rta-period": "rta.period", "--rows": "rta.rows"}
+SHORT = {"--rta-filter": "rta.filter", "--rta-period": "rta.period"}
 DRAWN = 4000  # states whose share of starts is counted
 HELD = 60.0  # s that full control is held
 WAYPOINT, NEAREST, FARTHEST = 100.0, 30.0, 400.0  # s between two waypoints; m from the chief
@@ -77,12 +76,12 @@ def to_waypoints(c: InspectionParameters, generator: torch.Generator, batch: int
 
 def opposite(safety_filter: SafetyFilter) -> Controller:
     """Full control against that of the backup laws: who asks for it wants to leave the flight that is verified."""
-    if not (backup := safety_filter.backup):
+    if not (check := safety_filter.check):
         raise InputError("--demand opposite: this filter has no backup laws to oppose")
 
     def control(t: float, x: Tensor) -> Tensor:
-        seen = backup.seen(x, torch.zeros_like(x[:KINDS]))
-        return -backup.law(seen).sign() * x.new_tensor(safety_filter.c.control_limit)[:, None]
+        seen = torch.cat((x, x.new_zeros(check.size - len(x), x.shape[1])))
+        return -check.law(seen).sign() * x.new_tensor(safety_filter.c.control_limit)[:, None]
 
     return control
 
@@ -107,7 +106,7 @@ class Counted:
         change, chatter: (2,) sums of |u - u_des| and of |u - u of the last call| in limits, of thrust and of torque.
     """
 
-    def __init__(self, safety_filter: AnyFilter) -> None:
+    def __init__(self, safety_filter: SafetyFilter) -> None:
         self.filter = safety_filter
         self.calls, self.seconds = 0, 0.0
         self.corrected = self.moved = self.unverified = 0
@@ -131,7 +130,7 @@ class Counted:
         return answer
 
 
-def starts(where: str, count: int, seed: int, safety_filter: AnyFilter) -> tuple[Tensor, Tensor]:
+def starts(where: str, count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor]:
     """States (16, count) that the filter accepts, and priority vectors (3, count); `where` is one of STARTS."""
     if where == "safe-set":
         return safe_set(count, seed, safety_filter)[:2]
@@ -150,7 +149,7 @@ def starts(where: str, count: int, seed: int, safety_filter: AnyFilter) -> tuple
     return both[:16], both[16:]
 
 
-def barely(count: int, seed: int, safety_filter: AnyFilter) -> tuple[Tensor, Tensor]:
+def barely(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor]:
     """States that the filter hardly accepts: the last ones on the way to others within all limits, which it refuses."""
     generator, c = torch.Generator().manual_seed(seed), safety_filter.c
 
@@ -175,7 +174,7 @@ def barely(count: int, seed: int, safety_filter: AnyFilter) -> tuple[Tensor, Ten
     return states_of(inside, c)
 
 
-def accepted(safety_filter: AnyFilter, seed: int) -> float:
+def accepted(safety_filter: SafetyFilter, seed: int) -> float:
     """The share of states with every h >= 0 that the filter accepts as starts, of DRAWN all over the safe set."""
     generator = torch.Generator().manual_seed(seed)
     x, _ = states_of(torch.rand(NUMBERS, DRAWN, generator=generator, dtype=torch.float64), safety_filter.c)

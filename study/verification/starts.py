@@ -1,8 +1,6 @@
 """Where a campaign's episodes start: the paper's distribution and a Latin hypercube of the whole safe set."""
 
-import dataclasses
 import math
-from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -15,8 +13,6 @@ from inspection.model.draws import isotropic, shoemake
 from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.filter import SafetyFilter
-from rta.flown_paper import FlownPaperFilter
-from study.experiment import AnyFilter
 
 INSIDE = 5.0  # m, within max_distance, where the safe set's initial states are at the farthest
 NUMBERS = 17  # from which a start follows
@@ -49,26 +45,20 @@ def states_of(s: Tensor, c: Limits) -> tuple[Tensor, Tensor]:
     return x, isotropic(s[15:17])
 
 
-def safe_set(count: int, seed: int, safety_filter: AnyFilter) -> tuple[Tensor, Tensor, int]:
+def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:
     """Initial states from the whole safe set: those that the filter takes for safe (`SafetyFilter.is_safe`).
 
     A Latin hypercube over distance up to INSIDE of the zone, speed up to the limit there, all directions and attitudes,
-    body rates, temperature and energy down to their limits and the Sun's angle. Of a filter that knows no way at all
-    every h and every Psi_1 is non-negative; Psi_1 is the filter's, with the margins of h inside it and the terminator
-    rounded off (`RtaParameters.incidence_rounding`), and states beyond its own keep-in barrier
-    (`SafetyFilter.can_brake`) belong to the set.
+    body rates, temperature and energy down to their limits and the Sun's angle.
 
     Returns:
         States (16, count), priority vectors (3, count) and how many other states of the hypercubes, up to the last
-        one taken, have every h non-negative, or without a way are safe by the exact Psi_1 without margins alone.
+        one taken, have every h non-negative.
 
     Raises:
         RuntimeError: fewer were found in HYPERCUBES hypercubes.
     """
-    c, left_out = safety_filter.c, safely(safety_filter)
-    accepts = safety_filter.is_safe
-    if isinstance(safety_filter, SafetyFilter) and safety_filter.unchecked == ["motion", "attitude"]:
-        accepts = safety_filter.is_in_safe_set
+    c, accepts = safety_filter.c, safety_filter.is_safe
     sampler = qmc.LatinHypercube(NUMBERS, rng=np.random.default_rng(seed))
     kept, rejected = torch.zeros(SIZE + 3, 0, dtype=torch.float64), 0
     for _ in range(HYPERCUBES):
@@ -77,36 +67,14 @@ def safe_set(count: int, seed: int, safety_filter: AnyFilter) -> tuple[Tensor, T
         missing = count - kept.shape[1]
         taken = torch.nonzero(safe).flatten()[:missing]
         seen = int(taken[-1]) + 1 if taken.numel() == missing else safe.numel()
-        rejected += int(left_out(x[:, :seen][:, ~safe[:seen]]).sum())
+        rejected += int((safety_filter.values(x[:, :seen][:, ~safe[:seen]]) >= 0.0).all(0).sum())
         kept = torch.cat((kept, torch.cat((x, priority))[:, taken]), 1)
         if kept.shape[1] == count:
             return kept[:SIZE], kept[SIZE:], rejected
     raise RuntimeError(f"only {kept.shape[1]} of {count} initial states found in the safe set")
 
 
-def safely(safety_filter: AnyFilter) -> Callable[[Tensor], Tensor]:
-    """What says of states (16, B) that are left out whether they are safe, (B,) bool; see `safe_set`."""
-    if isinstance(safety_filter, FlownPaperFilter) or safety_filter.backup:
-        return lambda x: (safety_filter.values(x) >= 0.0).all(0)
-    without_margins = dataclasses.replace(
-        safety_filter.parameters,
-        exclusion_margin=0.0,
-        temperature_margin=0.0,
-        battery_margin=0.0,
-        pole_angle=0.0,
-        incidence_rounding=0.0,
-    )
-    return SafetyFilter(safety_filter.c, without_margins).is_in_safe_set
-
-
-def holdable(x: Tensor, safety_filter: AnyFilter) -> Tensor:
-    """Tells which starts (16, B) count, (B,) bool: with the checked filter, those where thrust can keep the zone."""
-    if isinstance(safety_filter, FlownPaperFilter):
-        return torch.ones_like(x[0], dtype=torch.bool)
-    return safety_filter.can_brake(x)
-
-
-def initial_states(count: int, seed: int, safety_filter: AnyFilter) -> tuple[Tensor, Tensor, int]:
+def initial_states(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:
     """The paper's distribution and the safe set in turns; returns as `safe_set`."""
     first, second = spawned(seed, 2)
     generator = torch.Generator().manual_seed(first)

@@ -6,8 +6,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rta.constraints.names import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
-from rta.qp.programs import Status
+from rta.names import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
+from rta.result import Status
 from study.flight.fly import ROUNDING, Record
 from study.verification.tape import Conflicts, Tape
 

@@ -5,7 +5,7 @@
 /* From `seen` and `desired` to `control`, which rows act, and status, verified, backup. */
 void NAME(ask)(void)
 {
-    struct safety_filter_input in = {.sent_count = sent_count, .left = {1.0, 1.0, 1.0, 1.0, 1.0, 1.0}};
+    struct safety_filter_input in = {.sent_count = sent_count};
     struct safety_filter_output out;
     memcpy(in.state, seen, sizeof in.state);
     memcpy(in.desired, desired, sizeof in.desired);

@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from columns import if_long
 from inspection.chief.points import fibonacci_sphere, in_view, point_weights
 from inspection.guidance import limited, natural_motion, pointing_frequency, pointing_torque
 from inspection.model.attitude import unit
@@ -24,15 +25,15 @@ from inspection.termination import failures
 from inspection.world.corners import CORNER, ERRORS, GAINS, Recorded
 from inspection.world.parameters import PlantParameters, bounds
 from inspection.world.plant import Plant
-from kernels.printer import Printed, if_long, printed
-from rta.backup.attitude_law import slew
-from rta.backup.flight import path
-from rta.backup.motion_law import brake
-from rta.backup.nominal_check import ENDS, NominalBackup
-from rta.constraints.names import CONSTRAINTS
+from kernels.printer import Printed, printed
+from rta.check.attitude_law import slew
+from rta.check.flight import path
+from rta.check.motion_law import brake
+from rta.check.nominal import ENDS, NominalCheck
+from rta.fast.files import sources as sources_of_filter
+from rta.fast.source import define, for_one
 from rta.filter import SafetyFilter
-from rta.printed.files import sources as sources_of_filter
-from rta.printed.source import define, for_one
+from rta.names import CONSTRAINTS
 from settings import InputError
 from study.verification.adversaries import NEXT_TO_NOTHING, Greedy, adversarial
 
@@ -122,7 +123,7 @@ def named(
 
 def of_flight(safety_filter: SafetyFilter) -> list[Printed]:
     """Prints the model, and what `play.c` calls beside it."""
-    c, (x, u) = safety_filter.c, safety_filter.probe("cpu")
+    c, (x, u) = safety_filter.c, safety_filter.probe()[:2]
     normals = fibonacci_sphere(c.num_points)
     n = c.num_points
     return [
@@ -135,7 +136,7 @@ def of_flight(safety_filter: SafetyFilter) -> list[Printed]:
     ]
 
 
-def to_rest(backup: NominalBackup, x: Tensor, u: Tensor) -> list[Tensor]:
+def to_rest(backup: NominalCheck, x: Tensor, u: Tensor) -> list[Tensor]:
     """Returns the states after a hold of controls (6, B), both laws' controls there, and whether motion has ended."""
     end = path(x, u, backup.flight)[-1]
     torque = slew(end, backup.pointing)
@@ -145,7 +146,7 @@ def to_rest(backup: NominalBackup, x: Tensor, u: Tensor) -> list[Tensor]:
 
 def of_filter(safety_filter: SafetyFilter, number: int) -> list[str]:
     """Returns the source of a filter, and of a controller in its rhythm."""
-    c, every, (x, u) = safety_filter.c, safety_filter.period, safety_filter.probe("cpu")
+    c, every, (x, u) = safety_filter.c, safety_filter.period, safety_filter.probe()[:2]
 
     def assistant(x: Tensor) -> list[Tensor]:
         torque = pointing_torque(x, -unit(x[P]), sun_direction(x[THETA_S]), c, pointing_frequency(every))
@@ -155,8 +156,8 @@ def of_filter(safety_filter: SafetyFilter, number: int) -> list[str]:
         return [natural_motion(c, every, GUIDANCE[PILOT], lambda: score)(0.0, x)]
 
     parts = [named("assistant", "t", assistant, x=x), named("guidance", "u", guidance, x=x, score=u[0])]
-    backup = safety_filter.backup
-    if isinstance(backup, NominalBackup):
+    backup = safety_filter.check
+    if isinstance(backup, NominalCheck):
         long = if_long(len(c.planes))
         parts.append(named("turn_to_rest", "after law arrived", partial(to_rest, backup), long, x=x, u=u))
     given = sources_of_filter(safety_filter, only=("safety_filter.h", "safety_filter.c"))
@@ -165,7 +166,7 @@ def of_filter(safety_filter: SafetyFilter, number: int) -> list[str]:
         f"#define NAME(name) name##_{number}",
         given["safety_filter.c"].replace('#include "safety_filter.h"\n', given["safety_filter.h"]),
         for_one(parts),
-        define("FLIES", int(isinstance(backup, NominalBackup))),
+        define("FLIES", int(isinstance(backup, NominalCheck))),
         '#include "play.h"',
         by_hand("filter.c"),
     ]
@@ -173,7 +174,7 @@ def of_filter(safety_filter: SafetyFilter, number: int) -> list[str]:
 
 def of_world(safety_filter: SafetyFilter, parameters: PlantParameters) -> list[Printed]:
     """Prints a world whose errors are worst, and who chooses its corners; `safety_filter` has its bounds."""
-    c, (x, u) = safety_filter.c, safety_filter.probe("cpu")
+    c, (x, u) = safety_filter.c, safety_filter.probe()[:2]
     plant = Plant(replace(parameters, latency=0), c, 1, "cpu")  # what is old by then, the driver keeps
     greedy, now = Greedy(safety_filter), torch.zeros(1)
     ends, gains = (x.new_ones(part.stop - part.start, 1) for part in (ERRORS, GAINS))

@@ -23,14 +23,14 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import SIZE, THETA_S, E, P, Q, T, V
 from inspection.world.parameters import PlantParameters, bounds
 from inspection.world.plant import sample_plant
+from inspection.world.uncertainty import NO_UNCERTAINTY
 from ppo.network import Policy
-from rta.bounds.uncertainty import NO_UNCERTAINTY
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS
 from settings import InputError
 from study.config import TEST_CASES, Config
 from study.errors import as_input_error
-from study.experiment import plant_numbers, test_cases
+from study.experiment import filter_of, plant_numbers, test_cases
 from study.export import policy as agent
 from study.files import write_text
 from study.machine import step
@@ -79,13 +79,13 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
         InputError: the configuration does not fit, the compiler is missing, or the page cannot be written.
     """
     check(config)
+    config = replace(config, train=replace(config.train, rta=True))
     c, errs = config.inspection, not config.plant.is_nominal
     nominal = replace(config, plant=PlantParameters(), uncertainty=NO_UNCERTAINTY)
     erring = replace(config, plant=replace(config.plant, errors="worst"))
     with step("printing and compiling the filters, two minutes"):
-        with as_input_error("[rta], [inspection], [plant] and [uncertainty]", ValueError, OverflowError):
-            filters = [SafetyFilter(c, replace(config.rta, period=period)) for period in PERIODS]
-            robust = [SafetyFilter(c, config.rta, uncertainty=config.uncertainty)] if errs else []
+        filters = [filter_of(replace(nominal, rta=replace(config.rta, period=period))) for period in PERIODS]
+        robust = [filter_of(erring)] if errs else []
         worlds = [world(nominal, filters), *(world(erring, robust) for _ in robust)]
         own = agent.sources(policy, config, "") if policy else {}
         compiled = module.compiled([*filters, *robust], erring.plant if errs else None, own)

@@ -20,9 +20,9 @@ from inspection.model.dynamics import sun_direction
 from inspection.model.orbit import coast
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import SIZE, THETA_S, P, V
-from rta.constraints.names import CONSTRAINTS
-from settings import InputError, from_toml
-from study.config import Config
+from rta.names import CONSTRAINTS
+from settings import InputError
+from study.config import Config, recorded
 from study.errors import as_input_error
 from study.files import load_arrays, write_text
 from study.flight.figures import Episode, effort, speeds
@@ -122,7 +122,7 @@ def read(path: str, rows: int = MAX_ROWS) -> Replayed:
     older = ": not a file that simulate wrote, or one of an older version"
     names = (*ROWS, "inspected", "intervened", "parameters")
     episode = load_arrays(path, names, "run", older, maybe=(*CHIEF, HULL))
-    c = from_toml(str(episode["parameters"]), f"{path}: parameters", Config()).inspection
+    c = recorded(str(episode["parameters"]), f"{path}: parameters", Config()).inspection
     length, points = episode["time"].size, c.num_points
     shapes: dict[str, tuple[int, ...]] = {name: (length, *row) for name, row in ROWS.items()}
     if "chief_points" in episode:

@@ -7,20 +7,17 @@ from typing import Any
 import pytest
 
 from experiments import break_points
-from experiments.break_points import EFFECTS, Effect, figure, outcome, said, table, unchecked_columns
+from experiments.break_points import EFFECTS, Effect, figure, outcome, said, table
 from inspection.world.parameters import PlantParameters
-from rta.constraints.names import CONSTRAINTS
+from rta.names import CONSTRAINTS
 from settings import override
 from study.config import Config
 from tests.test_main import assert_refused, call
 
 
-def world(
-    effect: str, size: float, told: bool, *violated: str, unchecked: tuple[str, ...] = ()
-) -> dict[str, Any]:
+def world(effect: str, size: float, told: bool, *violated: str) -> dict[str, Any]:
     counts = {name: 2 * (name in violated) for name in CONSTRAINTS} | {"any": 2 * bool(violated)}
-    found = {"effect": effect, "size": size, "told": told, "violating_episodes": counts}
-    return found | {"unchecked": list(unchecked)}
+    return {"effect": effect, "size": size, "told": told, "violating_episodes": counts}
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
@@ -54,7 +51,7 @@ def test_a_break_point_is_the_smallest_size_that_was_violated() -> None:
     report = {"worlds": worlds}
     found = outcome(report, "mass", told=False)
     assert found.broken == {"zone": 0.1, "velocity": 0.3} and found.held == 0.03 and found.refused is None
-    assert outcome(report, "mass", told=True) == (0.1, {}, 0.3, None, [])
+    assert outcome(report, "mass", told=True) == (0.1, {}, 0.3)
     lines = table(report).splitlines()
     assert lines[1].endswith(" holds 0.03, breaks at 0.1 (zone)")
     assert lines[2].endswith(" holds 0.1, refuses 0.3")
@@ -62,24 +59,14 @@ def test_a_break_point_is_the_smallest_size_that_was_violated() -> None:
     assert texts.count("0.1") == 1 and texts.count("0.3") == 1 and "refused from 0.3" in texts
 
 
-def test_a_size_that_is_not_checked_never_holds() -> None:
-    """Whatever broke there or not; of a filter that is told of nothing the check says nothing of the effect."""
-    checked = [world("mass", size, told) for size in (0.03, 0.1) for told in (False, True)]
-    unchecked = [
-        world("mass", 0.3, True, unchecked=("motion",)),
-        world("mass", 0.5, True, "keep_in_zone", unchecked=("motion",)),
-    ]
-    report = {"worlds": [*unchecked, *checked, world("mass", 0.3, False, unchecked=("motion",))]}
+def test_a_size_that_is_refused_never_holds() -> None:
+    flown = [world("mass", size, True) for size in (0.03, 0.1)]
+    worlds = [{"effect": "mass", "size": 0.3, "told": True, "refused": "no check is known"}, *flown]
+    report = {"worlds": [*worlds, world("mass", 0.5, True, "keep_in_zone")]}
     assert outcome(report, "mass", told=True).held == 0.1
-    assert said(report, "mass", told=True) == "holds 0.1, unchecked from 0.3 (motion), breaks at 0.5 (zone)"
-    assert said(report, "mass", told=False) == "holds 0.3"
-    assert any("unchecked from 0.3" in text.get_text() for ax in figure(report).axes for text in ax.texts)
-    motion = {"separation", "speed", "zone", "passive\nsafety", "velocity"}
-    assert unchecked_columns(report, "mass", told=True) == motion and not unchecked_columns(
-        report, "mass", told=False
-    )
+    assert said(report, "mass", told=True) == "holds 0.1, breaks at 0.5 (zone), refuses 0.3"
     hatched = [patch for ax in figure(report).axes for patch in ax.patches if patch.get_hatch()]
-    assert len(hatched) == len(motion) - 1  # the zone broke
+    assert len(hatched) == 8  # all columns of the panel with bounds but the zone, which broke
 
 
 @pytest.mark.campaign
@@ -101,7 +88,6 @@ def test_worlds_are_flown_once_and_break_where_they_must(
     assert known == [(1e-9, False), (1e-9, True), (0.99, False), (0.99, True)]
     violated = [world["violating_episodes"]["any"] for world in worlds[:3]]
     assert violated[:2] == [0, 0] and violated[2] > 0
-    assert [world["unchecked"] for world in worlds[:3]] == [[], [], []]
     assert "thrust_gain = 0.99" in worlds[3]["refused"]
     assert "holds 1e-09, breaks at 0.99 (speed" in out and "refuses 0.99" in out
     assert picture.stat().st_size > 10_000

@@ -18,6 +18,7 @@ from inspection.model.state import THETA_S, E, P, Q, T, V
 from inspection.reward import REWARDS, distance_from_track, shaping
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
+from kernels.compiled import Compiled
 
 
 def seeded(seed):
@@ -312,7 +313,7 @@ def test_compiled_steps_equal_the_others(short):
     for compiled in (False, True):
         env = make(short, 520, safety=safety)
         if compiled:
-            env.compile()
+            env.compile(Compiled)
         env.reset()
         histories.append(play(env, actions))
         envs.append(env)

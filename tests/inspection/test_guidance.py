@@ -14,8 +14,9 @@ from inspection.model.orbit import free_flight
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, V
 from inspection.orbits import Orbit
-from rta.constraints.names import CONSTRAINTS
+from rta.fast.filter import fast
 from rta.filter import SafetyFilter
+from rta.names import CONSTRAINTS
 from rta.parameters import RtaParameters
 from study.flight.state_files import read_state
 
@@ -133,13 +134,13 @@ def test_the_demonstration_crosses_every_boundary_without_the_filter() -> None:
 
 
 def test_the_filter_holds_the_demonstration_at_its_first_boundaries() -> None:
-    safety = SafetyFilter(C)
-    safety.compile("cpu", 1)
-    states = tour(140.0, 1.0, safety)
+    states = tour(140.0, 1.0, fast(FILTER))
     h = dict(zip(CONSTRAINTS, FILTER.values(states), strict=True))
     assert min(h[name].min() for name in CONSTRAINTS) >= 0.0
-    assert h["dynamic_speed"].min() < 0.2  # m/s
-    assert h["attitude_exclusion"].min() < math.radians(3)
+    alone = dict(zip(CONSTRAINTS, FILTER.values(tour(140.0, 1.0)), strict=True))
+    # as near as the paper's gains let it come before they slow it down, m/s and rad
+    for name, near in (("dynamic_speed", 0.2), ("attitude_exclusion", math.radians(6))):
+        assert h[name].min() < near and alone[name].min() < 0.0
 
 
 def test_lqr_pd_rests_at_its_set_point_with_the_thermal_side_in_the_sun() -> None:

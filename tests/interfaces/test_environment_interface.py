@@ -16,8 +16,8 @@ from inspection.environment import InspectionEnv
 from inspection.reward import REWARDS
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
-from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
+from rta.names import CONSTRAINTS
 from settings import InputError
 from study.config import Config
 

@@ -9,8 +9,9 @@ import torch
 
 from inspection.environment import InspectionEnv
 from interfaces.safety import RunTimeAssurance, VectorRunTimeAssurance
-from rta.constraints.names import CONSTRAINTS
+from rta.fast.filter import batched
 from rta.filter import SafetyFilter
+from rta.names import CONSTRAINTS
 from rta.parameters import RtaParameters
 from settings import InputError
 from study.config import Config
@@ -34,7 +35,7 @@ def actions(*shape):
 
 
 def direct_filter(config, period):
-    return SafetyFilter(config.inspection, replace(config.rta, period=period))
+    return batched(SafetyFilter(config.inspection, replace(config.rta, period=period)))
 
 
 def test_every_call_is_reported_as_the_filter_answers_it(c):

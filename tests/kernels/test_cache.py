@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,16 +12,19 @@ import pytest
 import torch
 from torch import Tensor
 
-from inspection.model.parameters import InspectionParameters
+from inspection.model.attitude import norm
+from inspection.model.parameters import InspectionParameters, Limits
+from inspection.model.state import OMEGA, P
+from inspection.world.uncertainty import Uncertainty
 from kernels import build
 from kernels.cache import remembered
 from kernels.digest import digest
-from rta.backup import flight
-from rta.bounds.uncertainty import Uncertainty
+from rta.check import flight
+from rta.fast.filter import fast, printed_answer
 from rta.filter import SafetyFilter
+from rta.limits import Limit
 from rta.parameters import RtaParameters
-from rta.printed.batch import recorded
-from tests.rta import test_actuator_groups as own_constraints
+from rta.robust.filter import RobustFilter
 from tests.support.filters import without_check
 
 ROOT = Path(__file__).parents[2]
@@ -166,35 +168,44 @@ def test_closures_partials_methods_and_tensors_count() -> None:
     assert digest(by(tensor)) == digest(by(tensor.clone()))
 
 
+def farther(x: Tensor, c: Limits) -> Tensor:
+    """m outside 50 m."""
+    return norm(x[P]) - 50.0
+
+
+def slower(x: Tensor, c: Limits) -> Tensor:
+    """1e-3 rad^2/s^2 less the squared rate."""
+    return 1e-3 - (x[OMEGA] * x[OMEGA]).sum(0)
+
+
 def name_of(safety_filter: SafetyFilter) -> str | None:
-    return digest(recorded, safety_filter)
+    return digest(printed_answer, safety_filter, False)
 
 
 def test_equal_filters_are_recorded_once_and_others_by_themselves() -> None:
     proposals = without_check(SafetyFilter())
-    own = own_constraints.OWN
+    own = {"farther": Limit(farther, (0.01, 0.1), 1e6)}
     others = [
         SafetyFilter(),
-        SafetyFilter(parameters=RtaParameters(speed_gain=0.11)),
         SafetyFilter(parameters=RtaParameters(period=5.0)),
         SafetyFilter(InspectionParameters(mass=12.5)),
-        SafetyFilter(extra=[own["sphere"][0]]),
-        SafetyFilter(extra=[own["cone"][0]]),
-        SafetyFilter(extra=[replace(own["cone"][0], margin=0.125)]),
-        SafetyFilter(uncertainty=Uncertainty(mass=0.1)),
+        SafetyFilter(extra=own),
+        SafetyFilter(extra={"slower": Limit(slower, (0.3,), 1e6)}),
+        SafetyFilter(extra={"farther": own["farther"]._replace(gains=(0.01, 0.125))}),
+        SafetyFilter(extra={"farther": own["farther"]._replace(weight=1e5)}),
+        RobustFilter(uncertainty=Uncertainty(mass=0.1)),
         proposals,
     ]
     names = [name_of(each) for each in others]
     assert len(set(names)) == len(names) and None not in names
     assert names[0] == name_of(SafetyFilter(InspectionParameters(), RtaParameters()))
-    assert names[4] == name_of(SafetyFilter(extra=[own["sphere"][0]]))
+    assert names[3] == name_of(SafetyFilter(extra=dict(own)))
 
 
 @pytest.mark.campaign
 def test_a_filter_that_is_known_is_not_recorded(cache: Path) -> None:
     found = []
     for _ in range(2):
-        safety = SafetyFilter()
-        safety.compile("cpu", 64)
+        fast(SafetyFilter())
         found.append({path: path.stat().st_ino for path in cache.glob("*.recorded")})
-    assert found[0] == found[1] and len(found[0]) == 2  # a call of the filter, and the flights of its check
+    assert found[0] == found[1] and len(found[0]) == 2  # a call of the filter, and which states are starts

@@ -11,10 +11,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from kernels import build, cache, calls, waiting
+from columns import ACTIVE, call, loop, when
+from kernels import build, cache, waiting
 from kernels.cache import remembered
 from kernels.compiled import WORTH_A_THREAD, Compiled, Kernel
-from kernels.control import call, loop, when
 from kernels.digest import digest
 from kernels.printer import printed
 
@@ -373,7 +373,7 @@ def test_what_cannot_be_a_body_is_refused(name: str) -> None:
     function, kind, words = REFUSED[name]
     with pytest.raises(kind, match=re.escape(words)):
         printed(function, ONE, long=97)
-    assert calls.active() is None  # and nothing is recorded any more
+    assert not ACTIVE.all  # and nothing is recorded any more
 
 
 def test_what_was_recorded_is_known_again(monkeypatch: pytest.MonkeyPatch) -> None:

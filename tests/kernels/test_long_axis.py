@@ -4,7 +4,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from kernels.printer import if_long, printed
+from columns import if_long
+from kernels.printer import printed
 from tests.kernels.test_operations import Function, assert_same, uniform, written
 
 LONG = 100  # points

@@ -15,13 +15,16 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from inspection.environment import InspectionEnv
 from inspection.initial_state import sample_initial_state
 from inspection.model.parameters import InspectionParameters
+from kernels.compiled import Compiled
 from ppo.learner import PPO
 from ppo.network import Policy, Value
 from ppo.parameters import PPOParameters
 from ppo.rollout import collect
+from rta.fast.filter import batched, fast
 from rta.filter import SafetyFilter
 from rta.lie_derivatives import load_forward_mode
 from rta.parameters import RtaParameters
+from rta.robust.filter import RobustFilter
 from settings import load
 from study.config import Config
 
@@ -50,8 +53,11 @@ MODES: dict[str, Callable[[], AbstractContextManager[Any]]] = {
 def episodes(rta: bool, period: float = 1.0, compiled: bool = False, robust: bool = False) -> list[Tensor]:
     """Observations, rewards and states of random actions; in an imperfect world where the filter is robust to it."""
     c = U1.inspection if robust else C
-    options = {"uncertainty": U1.uncertainty} if robust else {}
-    safety_filter = SafetyFilter(c, RtaParameters(period=period), **options)
+    parameters = RtaParameters(period=period)
+    safety_filter = SafetyFilter(c, parameters)
+    if robust:
+        safety_filter = RobustFilter(c, parameters, uncertainty=U1.uncertainty)
+    safety_filter = fast(safety_filter, "cpu", 8) if compiled else batched(safety_filter)
     env = InspectionEnv(
         8,
         c,
@@ -60,8 +66,7 @@ def episodes(rta: bool, period: float = 1.0, compiled: bool = False, robust: boo
         plant=U1.plant if robust else None,
     )
     if compiled:
-        safety_filter.compile("cpu", 8)
-        env.compile()
+        env.compile(Compiled)
     draw = torch.Generator().manual_seed(1)
     found = [env.reset()]
     for _ in range(1 if robust or period > 1.0 else 3):
@@ -84,7 +89,7 @@ def learned() -> list[Tensor]:
 
 
 def called() -> list[Tensor]:
-    """Of the filter as a function: control, values, starts; compiled at the first call."""
+    """Of the filter as a function: control, values, starts."""
     safety_filter = SafetyFilter(C)
     x = np.zeros(16)
     x[[0, 3, 9, 13, 14]] = 60.0, -1.5, 1.0, 5.0, 6.0
@@ -144,7 +149,8 @@ class Watching(TorchDispatchMode):
 @pytest.mark.parametrize("robust", [False, pytest.param(True, marks=pytest.mark.campaign)])
 def test_the_filter_computes_in_double(robust: bool) -> None:
     """A choice between two Python numbers is in PyTorch's default type, in single: bounds within U1 were, once."""
-    safety_filter = SafetyFilter(U1.inspection, uncertainty=U1.uncertainty) if robust else SafetyFilter(C)
+    safety_filter = RobustFilter(U1.inspection, uncertainty=U1.uncertainty) if robust else SafetyFilter(C)
+    safety_filter = batched(safety_filter)
     x, _ = sample_initial_state(32, torch.Generator().manual_seed(0), safety_filter.c)
     load_forward_mode()
     with Watching() as watching:

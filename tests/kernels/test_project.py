@@ -11,12 +11,12 @@ import torch
 from torch import Tensor
 
 import main
-from inspection.chief.hull import with_hull
-from kernels import build
 from kernels.printer import Printed, printed
+from rta.fast import filter as fast_filter
+from rta.fast.filter import batched, fast
 from rta.filter import SafetyFilter
-from rta.printed import batch
 from settings import load
+from study import experiment
 from study.config import Config
 
 CONFIGS = Path(main.__file__).parent / "configs"
@@ -53,14 +53,12 @@ def config_of(name: str) -> Config:
     for file in FILES[name]:
         config = load(CONFIGS / file, config)
     orbit = {"orbit": "two-body", "eccentricity": 0.1} if name == "two-body" else {}
-    return replace(config, inspection=replace(config.inspection, **orbit))
+    rta = replace(config.rta, unverified=bool(orbit))  # no check is known
+    return replace(config, inspection=replace(config.inspection, **orbit), rta=rta)
 
 
 def filter_of(name: str) -> SafetyFilter:
-    config = config_of(name)
-    return SafetyFilter(
-        with_hull(config.inspection, config.chief), config.rta, uncertainty=config.uncertainty
-    )
+    return batched(experiment.filter_of(config_of(name)))
 
 
 def calls_of_filter(name: str, monkeypatch: pytest.MonkeyPatch) -> list[Call]:
@@ -76,13 +74,12 @@ def calls_of_filter(name: str, monkeypatch: pytest.MonkeyPatch) -> list[Call]:
     def library(_: dict[str, str]) -> None:
         raise StopError
 
-    monkeypatch.setattr(batch, "printed", spy)
-    for module in (batch, build):  # of a filter with flights of the check; of any other
-        monkeypatch.setattr(module, "library", library)
+    monkeypatch.setattr(fast_filter, "printed", spy)
+    monkeypatch.setattr(fast_filter, "library", library)
     # nothing is printed where an earlier run's recording is found
-    monkeypatch.setattr(batch, "remembered", lambda function, *given: function(*given))
+    monkeypatch.setattr(fast_filter, "remembered", lambda function, *given: function(*given))
     with pytest.raises(StopError):
-        batch.batch_filter(safety_filter)
+        fast(safety_filter)
     return calls
 
 

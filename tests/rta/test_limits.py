@@ -1,16 +1,21 @@
 """The paper's 13 h, one definition for everybody, against plain NumPy re-computations from the paper's final forms."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
+from numpy import ndarray
 
+from inspection.model.attitude import norm
+from inspection.model.orbit import closest_times, coast
 from inspection.model.parameters import InspectionParameters
-from rta.constraints.names import PAPERS
 from rta.filter import SafetyFilter
 from rta.lie_derivatives import directional
-from rta.limits import PAPER, WEIGHT
+from rta.limits import PAPER, PARTS, WEIGHT
+from rta.names import PAPERS
 from rta.paper import PaperFilter
-from tests.oracles import PSM_TOLERANCE, C, orientation, paper, states, tensor
+from tests.oracles import PSM_TOLERANCE, C, length, orientation, paper, passive_safety, states, tensor
 from tests.support.states import at_rest
 
 
@@ -56,3 +61,30 @@ def test_a_spacecraft_at_rest_on_a_limit_has_finite_values_and_slopes() -> None:
         assert value.isfinite().all() and slope.isfinite().all()
     assert PAPER["dynamic_speed"].h(x, C)[0] == C.docking_speed + C.speed_slope * 100.0
     assert PAPER["collision"].h(x, C)[1] == 0.0 and PAPER["keep_in_zone"].h(x, C)[2] == 0.0
+
+
+def approaching(speed: float, miss: float) -> ndarray:
+    """300 states 30 to 700 m away that fly straight past the centre at up to a miss distance."""
+    x, rng = states(300, seed=3), np.random.default_rng(4)
+    away = x[:3] / length(x[:3])
+    side = np.cross(away, rng.standard_normal((3, 300)), axis=0)
+    x[:3] = away * rng.uniform(30, 700, 300)
+    path = -x[:3] + side / length(side) * rng.uniform(0, miss, 300)
+    x[3:6] = speed * path / length(path)
+    return x
+
+
+@pytest.mark.parametrize("miss", [0.0, 20.0, 300.0])
+@pytest.mark.parametrize("speed", [0.0, 0.01, 0.1, 0.5, 2.0, 6.0])
+def test_infimum_equals_brute_force_when_approaching(speed: float, miss: float) -> None:
+    x = approaching(speed, miss)
+    found = PAPER["passive_safety"].h(tensor(x), C)
+    np.testing.assert_allclose(found, passive_safety(x), rtol=0, atol=PSM_TOLERANCE)
+
+
+def test_infimum_of_each_part_equals_brute_force() -> None:
+    x, horizon = states(1000, seed=2), C.passive_safety_horizon
+    edges = tuple(horizon * i / PARTS for i in range(PARTS + 1))
+    found = norm(coast(tensor(x), closest_times(tensor(x), edges, C), C)) - C.collision_radius
+    expected = [passive_safety(x, start, end) for start, end in pairwise(edges)]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=PSM_TOLERANCE)

@@ -8,27 +8,25 @@ import piqp
 import pytest
 import torch
 from numpy import ndarray
-from scipy.optimize import nnls
 from torch import Tensor
 
 from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
-from rta.constraints.names import PAPERS
 from rta.filter import SafetyFilter
-from rta.flown_paper import FlownPaperFilter
 from rta.limits import PAPER, WEIGHT, Limit
+from rta.names import PAPERS
 from rta.paper import PaperFilter, asif, barrier_conditions
-from rta.parameters import PERIODS
-from rta.qp.programs import Status
+from rta.parameters import PERIODS, RtaParameters
+from rta.result import Status
 from study.machine import finds_compiler
 from study.verification.starts import safe_set
 from tests.oracles import (
     IN_FLIGHT,
     C,
+    by_nnls,
     drift,
+    last_psi,
     near,
-    orientation,
-    panel,
     paper,
     push,
     slope,
@@ -42,10 +40,15 @@ LIMIT = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
 WEIGHTS = [limit.weight for limit in PAPER.values()]
 
 
+def flown_every(period: float) -> SafetyFilter:
+    """The paper's filter as it is flown: nothing is checked, no gain is capped."""
+    return SafetyFilter(C, RtaParameters(filter="paper", period=period))
+
+
 @pytest.fixture(scope="module")
 def within() -> Tensor:
     """2,000 states within all limits, (16, 2000), all over them."""
-    return safe_set(2000, 5, FlownPaperFilter(C, 1.0))[0]
+    return safe_set(2000, 5, flown_every(1.0))[0]
 
 
 def drawn(count: int, seed: int = 0, largest: float = 1.0) -> Tensor:
@@ -54,15 +57,6 @@ def drawn(count: int, seed: int = 0, largest: float = 1.0) -> Tensor:
 
 
 # The rows
-
-
-def last_psi(x: ndarray) -> ndarray:
-    """Psi_0 of relative degree one and Psi_1 = dh/dt + k_1 h of degree two, by complex steps, (13, B)."""
-    psi = paper(x)
-    k = np.array([[limit.gains[0]] for limit in PAPER.values()])[7:10]
-    along = orientation(x + 1e-30j * drift(x, C), panel(C)).imag / 1e-30
-    psi[7:10] = along + k * orientation(x, panel(C))
-    return psi
 
 
 @pytest.fixture(scope="module")
@@ -88,39 +82,25 @@ def test_a_row_is_the_papers_barrier_condition(name: str, differences: tuple[nda
 def test_rows_of_all_periods_are_the_same_bits() -> None:
     """The period is the only thing that a filter called every 1, 5 or 10 s differs in."""
     x = tensor(states(200, seed=4))
-    first, *others = [FlownPaperFilter(C, period) for period in PERIODS]
+    fast = pytest.importorskip("rta.fast.filter").fast
     for compiled in (False, True) if finds_compiler() else (False,):
-        for each in (first, *others) if compiled else ():
-            each.compile("cpu", 200)
+        plain = [flown_every(period) for period in PERIODS]
+        first, *others = [fast(each, "cpu", 200) if compiled else each for each in plain]
         for other in others:
-            for one, same in zip(first.evaluated(x), other.evaluated(x), strict=True):
+            for one, same in zip(first.program.evaluated(x), other.program.evaluated(x), strict=True):
                 assert torch.equal(one.nan_to_num(), same.nan_to_num())
 
 
 def test_compiled_rows_equal_uncompiled_ones(within: Tensor) -> None:
+    fast = pytest.importorskip("rta.fast.filter").fast
     if not finds_compiler():
         pytest.skip("no C compiler")
-    plain, compiled = FlownPaperFilter(C, 1.0), FlownPaperFilter(C, 1.0)
-    compiled.compile("cpu", 2000)
-    for one, other in zip(plain.evaluated(within), compiled.evaluated(within), strict=True):
+    plain, compiled = flown_every(1.0), fast(flown_every(1.0), "cpu", 2000)
+    for one, other in zip(plain.program.evaluated(within), compiled.program.evaluated(within), strict=True):
         torch.testing.assert_close(one, other, rtol=1e-10, atol=1e-10)
 
 
 # The program
-
-
-def by_nnls(a: ndarray, b: ndarray, desired: ndarray) -> ndarray:
-    """The controls (6,) of one program, by the dual of its least-distance form (Lawson and Hanson 1974, ch. 23)."""
-    soft = np.eye(13)[:, 1:] / math.sqrt(WEIGHT)  # safe separation is the first row
-    bounds = np.hstack((np.vstack((np.eye(6), -np.eye(6))), np.zeros((12, 12))))
-    g, start = np.vstack((np.hstack((a, soft)), bounds)), np.append(desired, np.zeros(12))
-    h = np.append(-b, -np.ones(12)) - g @ start
-    length = np.sqrt((g**2).sum(1))
-    g, h = g / length[:, None], h / length
-    scale = max(1.0, np.abs(h).max())
-    e, f = np.vstack((g.T, h / scale)), np.append(np.zeros(18), 1.0)
-    r = e @ nnls(e, f, maxiter=10_000)[0] - f
-    return (start - scale * r[:-1] / r[-1])[:6]
 
 
 def test_controls_equal_those_of_another_solver(within: Tensor) -> None:
@@ -256,46 +236,62 @@ def test_piqp_solves_compiled_or_not(within: Tensor, monkeypatch: pytest.MonkeyP
             return super().solve()
 
     monkeypatch.setattr(piqp, "DenseSolver", Counting)
-    filters = [FlownPaperFilter(C, 1.0) for _ in range(2)]
+    filters = [flown_every(1.0) for _ in range(2)]
     if finds_compiler():
-        filters[1].compile("cpu", 100)
+        fast = pytest.importorskip("rta.fast.filter").fast
+        filters[1] = fast(filters[1], "cpu", 100)
     desired = drawn(100)
     answers = []
     for each in filters:
         solved.clear()
         answers.append(each.correct(within[:, :100], desired))
-        a, b, *_ = each.evaluated(within[:, :100])
+        a, b, *_ = each.program.evaluated(within[:, :100])
         assert len(solved) == (~(((a * desired).sum(1) + b) >= 0).all(0)).sum()  # as many as break a row
     torch.testing.assert_close(answers[0].control / LIMIT, answers[1].control / LIMIT, rtol=0, atol=1e-6)
 
 
 def test_nothing_is_ever_verified(within: Tensor) -> None:
-    found = FlownPaperFilter(C, 1.0).correct(within, drawn(2000))
+    found = flown_every(1.0).correct(within, drawn(2000))
     assert not found.verified.any() and not found.backup.any()
+
+
+def test_it_is_the_paper_alone_without_caps_or_a_check() -> None:
+    for period in PERIODS:
+        filter_ = flown_every(period)
+        assert filter_.limits == PAPER and filter_.check is None and filter_.checked == (False, False)
+        assert filter_.parameters.solver == "piqp" and type(filter_.program) is PaperFilter
+
+
+def test_a_demand_is_answered_as_the_program_answers_it(within: Tensor) -> None:
+    """The mean rates of a hold and the limit of its torque belong to the check."""
+    desired = drawn(100, seed=5)
+    found, expected = (f.correct(within[:, :100], desired) for f in (flown_every(10.0), PaperFilter(C)))
+    for name, value in vars(expected).items():
+        assert torch.equal(getattr(found, name), value)
 
 
 def test_starts_are_safe_where_every_h_and_every_psi_is_not_negative() -> None:
     x = tensor(np.hstack((states(2000), IN_FLIGHT)))
     expected = (paper(x.numpy()) >= 0).all(0) & (last_psi(x.numpy()) >= 0).all(0)
-    found = FlownPaperFilter(C, 1.0).is_safe(x)
+    found = flown_every(1.0).is_safe(x)
     assert found.any() and torch.equal(found, torch.from_numpy(expected))
 
 
 def test_a_call_takes_and_gives_numpy_of_one_spacecraft() -> None:
     x, desired = at_rest()[:, 0].numpy(), (2.0 * LIMIT[:, 0]).numpy()
-    found = FlownPaperFilter(C, 1.0)(x, desired)
+    found = flown_every(1.0)(x, desired)
     assert isinstance(found.control, np.ndarray) and found.control.shape == (6,)
     assert (np.abs(found.control) <= LIMIT[:, 0].numpy()).all() and found.status == Status.HARD
     with pytest.raises(ValueError, match=r"state of shape \(15,\)"):
-        FlownPaperFilter(C, 1.0)(x[:15], desired)
+        flown_every(1.0)(x[:15], desired)
     with pytest.warns(UserWarning, match="is it in K"):
-        FlownPaperFilter(C, 1.0)(np.concatenate((x[:13], [290.0], x[14:])), desired)
+        flown_every(1.0)(np.concatenate((x[:13], [290.0], x[14:])), desired)
 
 
 def test_it_fails_where_the_checked_filter_does_not() -> None:
     """Called every 10 s under controls that are held throughout, it lets limits break."""
     x = safe_set(64, 0, SafetyFilter(C))[0]
-    paper_, checked = FlownPaperFilter(C, 10.0), SafetyFilter(InspectionParameters())
+    paper_, checked = flown_every(10.0), SafetyFilter(InspectionParameters())
     y, desired = x.clone(), drawn(64, seed=9)
     lowest = paper_.values(y)
     for _ in range(12):

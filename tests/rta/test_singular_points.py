@@ -8,6 +8,7 @@ from torch import Tensor
 
 from inspection.model.dynamics import step, sun_and_earth_in_body
 from inspection.model.parameters import InspectionParameters
+from rta.fast.filter import fast
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
 
@@ -36,8 +37,8 @@ def at(limit: str) -> Tensor:
 )
 def test_the_filter_turns_away_from_a_pole(period: float) -> None:
     """By more than 40 deg, which is the exclusion zone, in a minute; nothing is desired, or full torque in turns."""
-    safety, limits = SafetyFilter(C, RtaParameters(period=period)), list(POINTS)
-    safety.compile("cpu", 2 * len(limits))
+    limits = list(POINTS)
+    safety = fast(SafetyFilter(C, RtaParameters(period=period)), "cpu", 2 * len(limits))
     x = torch.cat([at(limit) for limit in limits] * 2, 1)
     torque = torch.tensor([0.0] * len(limits) + [1.0] * len(limits)) * LIMIT[3:]
     columns = torch.arange(x.shape[1])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from settings import CONFIGS, InputError, find, from_toml, load, override, to_toml
-from study.config import Config, StudyConfig
+from study.config import Config, StudyConfig, of_today, recorded
 
 
 def test_file_overrides_defaults_key_by_key() -> None:
@@ -92,8 +92,18 @@ def test_the_shipped_plants_can_be_flown(path: Path) -> None:
 
 
 def test_a_shipped_study_is_read_and_written_back() -> None:
-    study = load(CONFIGS.parent / "runs/reference/our_learner/config.toml", StudyConfig())
+    text = (CONFIGS.parent / "runs/reference/our_learner/config.toml").read_text(encoding="utf-8")
+    study = recorded(text, "text", StudyConfig())
     assert from_toml(to_toml(study), "text", StudyConfig()) == study
+
+
+def test_settings_that_filters_before_had_are_passed_over_in_records_alone() -> None:
+    text = '[train]\nseed = 5\n[rta]\nrows = "paper"\nspeed_gain = 0.5 # 1/s\nperiod = 5.0\n'
+    config = recorded(text, "text", Config())
+    assert (config.train.seed, config.rta.period) == (5, 5.0)
+    assert of_today({"rta": {"rows": "paper", "period": 5.0}}) == {"rta": {"period": 5.0}}
+    with pytest.raises(InputError, match="unknown key 'rows'"):
+        from_toml(text, "text", Config())
 
 
 def test_every_key_is_explained_and_read_back() -> None:
@@ -148,18 +158,3 @@ def test_a_study_has_arms_of_its_own() -> None:
 def test_arms_that_make_no_sense_are_refused(text: str, said: str) -> None:
     with pytest.raises(InputError, match=re.escape(said)):
         from_toml(text, "s.toml", StudyConfig())
-
-
-def test_an_arm_that_alone_holds_controls_chooses_its_own_solver() -> None:
-    text = """
-    [rta]
-    qp_solver = "piqp"
-    [arms.told.uncertainty]
-    mass = 0.1
-    [arms.named]
-    uncertainty.mass = 0.1
-    rta.qp_solver = "piqp"
-    """
-    study = from_toml(text, "s.toml", StudyConfig())
-    solvers = {name: study.of_arm(name).rta.qp_solver for name in ("rta", "told", "named")}
-    assert solvers == {"rta": "piqp", "told": "auto", "named": "piqp"}

@@ -75,7 +75,7 @@ def test_evaluated_episodes_are_compiled_where_that_is_repaid(
     """Of agents and of other controllers alike."""
     seen: list[bool] = []
     monkeypatch.setattr(machine, "finds_compiler", lambda: True)
-    monkeypatch.setattr(InspectionEnv, "compile", lambda env: seen.append(True))
+    monkeypatch.setattr(InspectionEnv, "compile", lambda env, compiler: seen.append(True))
     monkeypatch.setattr(evaluation, "run_episodes", lambda *flown: None)
     config = override(
         made(), {"train": {"compile": choice, "rta": False}, "inspection": {"max_time": max_time}}, "test"

@@ -10,18 +10,18 @@ from interfaces.safety import VectorRunTimeAssurance
 from interfaces.vector import VectorInspection6DoF
 from main import main
 from rta.filter import SafetyFilter
-from rta.flown_paper import FlownPaperFilter
+from rta.limits import PAPER
 from rta.parameters import PERIODS, RtaParameters
-from rta.qp.programs import Status
+from rta.result import Status
 from settings import InputError, override
 from study.config import Config, StudyConfig
 from study.experiment import Experiment, checked_filter, filter_of, settled
 from study.flight.evaluation import play_controller, report
 from study.flight.offline_filter import filter_states
 from study.machine import finds_compiler
-from study.verification.starts import holdable, initial_states
+from study.verification.starts import initial_states
 from study.verified import unchecked, why_unverified
-from tests.rta.test_paper import drawn
+from tests.support.flights import commands
 
 
 def made(**tables: dict[str, object]) -> Config:
@@ -29,10 +29,14 @@ def made(**tables: dict[str, object]) -> Config:
     return override(override(Config(), own, "test"), tables, "test")
 
 
+def papers(period: float) -> SafetyFilter:
+    return SafetyFilter(parameters=RtaParameters(filter="paper", period=period))
+
+
 def test_a_configuration_gets_the_filter_that_it_asks_for() -> None:
     paper = filter_of(made(rta={"period": 5.0}))
-    assert isinstance(paper, FlownPaperFilter) and paper.period == 5.0
-    assert isinstance(filter_of(Config()), SafetyFilter)
+    assert paper.check is None and paper.period == 5.0 and paper.limits == PAPER
+    assert all(filter_of(Config()).checked)
     config = settled(made())
     assert config.rta.qp_solver == "piqp"
     experiment = Experiment(made(), 2, seconds=1.0)
@@ -52,13 +56,9 @@ def test_what_the_papers_filter_does_not_know_is_refused(tables: dict[str, dict]
         Experiment(made(**tables), 2, seconds=1.0)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("collision_gain", 0.2), ("rows", "none"), ("keep_in_margin", 0.1), ("qp_solver", "batched")],
-)
-def test_settings_of_the_checked_filter_alone_are_refused(name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=name):
-        RtaParameters(filter="paper", **{name: value})
+def test_a_solver_that_caps_weights_is_refused() -> None:
+    with pytest.raises(ValueError, match="qp_solver"):
+        RtaParameters(filter="paper", qp_solver="batched")
 
 
 def test_an_arm_behind_another_filter_has_a_solver_of_its_own() -> None:
@@ -108,7 +108,7 @@ def test_a_compiled_environment_reports_the_limits_that_the_filter_has() -> None
     assert experiment.filter_compiled
     env = experiment.env(16, compiled=True)
     env.reset()
-    torch.testing.assert_close(env.constraint_values(env.x), FlownPaperFilter(env.c, 1.0).values(env.x))
+    torch.testing.assert_close(env.constraint_values(env.x), papers(1.0).values(env.x))
 
 
 def test_episodes_are_flown_behind_it_and_counted() -> None:
@@ -120,9 +120,9 @@ def test_episodes_are_flown_behind_it_and_counted() -> None:
 
 
 def test_all_starts_of_a_campaign_count() -> None:
-    paper = FlownPaperFilter(Config().inspection, 10.0)
+    paper = papers(10.0)
     x, _, left_out = initial_states(20, 0, paper)
-    assert paper.is_safe(x).all() and holdable(x, paper).all() and left_out >= 0
+    assert paper.is_safe(x).all() and left_out >= 0
 
 
 def test_the_gymnasium_wrapper_reports_its_calls() -> None:
@@ -131,18 +131,18 @@ def test_the_gymnasium_wrapper_reports_its_calls() -> None:
     env.reset(seed=0)
     *_, info = env.step(np.ones((3, 6), dtype=np.float32))
     assert info["status"].shape == (3, 2) and not info["verified"].any()
-    assert isinstance(env.filter, FlownPaperFilter)
+    assert env.filter.check is None
 
 
 def test_given_states_are_filtered_with_every_number_of_the_program(tmp_path: Path) -> None:
     """A control that satisfies its rows, with the slack that is said."""
-    paper = FlownPaperFilter(Config().inspection, 1.0)
+    paper = papers(1.0)
     x = initial_states(40, 1, paper)[0]
-    found = filter_states(paper, x, drawn(40, largest=2.0))
-    a, b, u, slack = (found[name] for name in ("A_all", "b_all", "control_safe", "slack"))
-    assert a.shape == (40, 13, 6) and (found["A"] == a).all()
+    found = filter_states(paper, x, commands(40, largest=2.0))
+    a, b, u, slack = (found[name] for name in ("A", "b", "control_safe", "slack"))
+    assert a.shape == (40, 13, 6)
     left = (a * u[:, None]).sum(2) + b
     solved = found["status"] < Status.UNSOLVED
     assert solved.any() and (left[solved] >= slack[solved] - 1e-6).all()
-    assert np.isinf(found["slack_weight"][:, 0]).all() and (found["slack_weight"][:, 1:] == 1e12).all()
+    assert np.isinf(found["slack_weight"][0]) and (found["slack_weight"][1:] == 1e12).all()
     assert not found["verified"].any() and list(found["constraints"]) == list(paper.names)

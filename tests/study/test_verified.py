@@ -74,8 +74,11 @@ def test_what_changes_neither_plant_nor_filter_is_silent(tables: dict[str, Any])
     ("tables", "words"),
     [
         (FAST, ["not verified: [inspection] max_rate = 0.3 (verified: 0.0349066);"]),
-        ({"rta": {"battery_gains": [0.004, 0.2]}}, ["battery_gains = [0.004, 0.2] (verified: [0.004, 0.1])"]),
-        (FAST | {"rta": {"period": 5.0, "speed_gain": 0.4}}, ["max_rate = 0.3", ", 1 more differ;"]),
+        ({"inspection": {"initial_energy": [4.0, 6.0]}}, ["initial_energy = [4, 6] (verified: [5, 7])"]),
+        (
+            FAST | {"rta": {"period": 5.0}, "plant": {"mass_factor": 1.1}},
+            ["max_rate = 0.3", ", 1 more differ;"],
+        ),
         ({"plant": {"mass_factor": 1.1}}, ["not verified: [plant] mass_factor = 1.1 (verified: 1);"]),
     ],
 )
@@ -94,6 +97,7 @@ def test_what_differs_is_said_with_both_values(tables: dict[str, Any], words: li
         ({"campaign": {"policy": "adversarial", "duration": 1999}}, False),
         ({"campaign": {"policy": "checkpoint:x.pt", "duration": 2000}}, False),
         ({"violating_episodes": {"any": 1}}, False),
+        ({"gains": "0123456789ab"}, False),
     ],
 )
 def test_two_large_and_clean_campaigns_are_needed(more: dict[str, Any], trusted: bool) -> None:
@@ -114,8 +118,8 @@ def test_the_shipped_campaigns_verify_every_period(period: float) -> None:
     [
         (None, {}),
         (None, {"uncertainty": {"torque_gain": 0.1}}),
-        ("motion", {"uncertainty": {"thrust_quantum": 1.0}}),
-        ("motion and attitude", {"inspection": {"orbit": "two-body"}}),
+        ("motion", {"uncertainty": {"thrust_quantum": 1.0}, "rta": {"unverified": True}}),
+        ("motion and attitude", {"inspection": {"orbit": "two-body"}, "rta": {"unverified": True}}),
         (None, {"chief": {"mesh": "configs/chiefs/box.npz", "collision": "hull"}}),
     ],
 )

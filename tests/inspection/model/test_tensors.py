@@ -26,9 +26,6 @@ CALLS: dict[str, tuple[Callable[..., Any], tuple[torch.Tensor, ...]]] = {
     "rotation_matrix": (attitude.rotation_matrix, (X[6:10],)),
     "values": (SAFETY.values, (X,)),
     "is_safe": (SAFETY.is_safe, (X,)),
-    "is_in_safe_set": (SAFETY.is_in_safe_set, (X,)),
-    "can_brake": (SAFETY.can_brake, (X,)),
-    "rows": (SAFETY.rows, (X,)),
     "correct": (SAFETY.correct, (X, U)),
 }
 

@@ -8,13 +8,12 @@ import pytest
 import torch
 
 from kernels import build
-from rta.filter import SafetyFilter
-from rta.printed import files
-from rta.printed.loaded import InC
+from rta.fast import files
+from rta.fast.loaded import InC
 from study import verified
 from study.config import Config
 from tests.oracles import tensor
-from tests.rta.test_filter import C, R, commands, near_the_limits
+from tests.support.flights import FILTER, LIMIT, commands, near_the_limits
 from tests.test_main import assert_refused, call
 
 REPORTS = verified.ROOT / "runs" / "reference" / "verification"
@@ -30,7 +29,7 @@ def compiler() -> None:
 
 @pytest.fixture
 def no_vectors(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing that the C is compared with, which takes seconds; `tests.rta.printed.test_export` runs it."""
+    """Nothing that the C is compared with, which takes seconds; `tests.rta.fast.test_export` runs it."""
     monkeypatch.setattr(files, "vectors_header", lambda safety_filter: "")
 
 
@@ -70,15 +69,14 @@ def test_the_campaigns_in_c_violated_nothing() -> None:
 
 @pytest.mark.usefixtures("compiler")
 def test_the_c_answers_a_batch_as_the_filter() -> None:
-    safety_filter = SafetyFilter(C, R)
     x, u = tensor(near_the_limits(500, seed=3)), 1.1 * commands(500, seed=3)
-    expected, found = safety_filter.correct(x, u), InC(safety_filter).correct(x, u)
+    expected, found = FILTER.correct(x, u), InC(FILTER).correct(x, u)
     assert torch.equal(expected.status, found.status) and torch.equal(expected.active, found.active)
-    off = (expected.control - found.control)[:, expected.status < 2].abs() / tensor(C.control_limit)[:, None]
-    assert off.max() <= 1e-6  # PIQP solves in Python here
+    off = (expected.control - found.control)[:, expected.status < 2].abs() / tensor(LIMIT)
+    assert off.max() <= 1e-6
     assert torch.equal(found.intervened, found.status > 0)
     with pytest.raises(ValueError, match="controls sent"):
-        InC(safety_filter).correct(x, u, u[None])
+        InC(FILTER).correct(x, u, u[None])
 
 
 @pytest.mark.usefixtures("compiler")

@@ -12,8 +12,9 @@ from numpy import ndarray
 
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
-from rta.constraints.names import CONSTRAINTS
+from rta.fast.filter import batched
 from rta.filter import SafetyFilter
+from rta.names import CONSTRAINTS
 from rta.parameters import RtaParameters
 from rta.result import FilterResult
 from settings import override
@@ -25,7 +26,7 @@ from study.flight.simulation import simulate
 from study.verification import campaign
 from study.verification.starts import safe_set
 from tests.oracles import PSM_TOLERANCE, paper, tensor
-from tests.rta.test_barrier import FILTER
+from tests.support.flights import FILTER
 from tests.test_main import STATE, call
 
 pytestmark = pytest.mark.usefixtures("small_pools")
@@ -194,7 +195,7 @@ def test_evaluate_reports_what_a_weaker_plant_violates(period: float) -> None:
 
 
 def near_the_chief() -> ndarray:
-    """20 m away at 0.7 m/s inwards: what the filter enforces at 10 s in collision's place is negative, h is not."""
+    """20 m away at 0.7 m/s inwards, too fast there."""
     x = np.zeros((16, 1))
     x[0], x[3], x[9], x[13:16, 0] = 20.0, -0.7, 1.0, (5.0, 6.0, 3.0)
     return x
@@ -203,9 +204,7 @@ def near_the_chief() -> ndarray:
 @pytest.mark.campaign
 def test_evaluate_counts_exact_values_at_the_filters_calls() -> None:
     behind = experiment(10.0, 10.0)
-    enforced = {each.name: each.barrier_at for each in behind.filter.groups[0].constraints}
     x = tensor(near_the_chief())
-    assert enforced["collision"](x)(x).item() < 0.0
     priority = torch.tensor([[1.0], [0.0], [0.0]], dtype=torch.float64)
     env = behind.env(1, decide_every=10.0)
     results = report(run_episodes(env, coasting, Starts(x, priority)), behind.config, 0)
@@ -215,8 +214,8 @@ def test_evaluate_counts_exact_values_at_the_filters_calls() -> None:
     assert results["rta"]["filter_step_violations_percent"] == percent
 
 
-def test_the_values_of_a_filter_call_are_exact_where_the_enforced_barriers_are_smoothed() -> None:
-    filtered = SafetyFilter(parameters=RtaParameters(period=10.0))
+def test_the_values_of_a_filter_call_are_exact() -> None:
+    filtered = batched(SafetyFilter(parameters=RtaParameters(period=10.0)))
     rng = np.random.default_rng(0)
     x, _, _ = safe_set(300, 1, FILTER)
     x[:3] *= torch.from_numpy(rng.uniform(0.03, 1.0, 300))
@@ -227,8 +226,3 @@ def test_the_values_of_a_filter_call_are_exact_where_the_enforced_barriers_are_s
         tolerance = PSM_TOLERANCE if name == "passive_safety" else 0.0
         np.testing.assert_allclose(reported, values, rtol=0, atol=tolerance)
         np.testing.assert_allclose(reported, expected, rtol=0, atol=max(tolerance, 1e-9))
-    for group in filtered.groups:
-        for each in group.constraints:
-            if each.barrier and each.name != "passive_safety":
-                row = h[filtered.names.index(each.name)]
-                assert ((each.barrier_at(x)(x)[0] - row).abs() > 1e-3).any(), each.name

@@ -12,6 +12,7 @@ import main
 from inspection.guidance import recorded
 from inspection.model.dynamics import step as integrate
 from inspection.model.parameters import InspectionParameters
+from rta.fast.filter import batched
 from rta.filter import SafetyFilter
 from settings import override
 from study.config import Config
@@ -25,7 +26,9 @@ DURATION, DECIDE_EVERY, STEP = 60, 10, 5  # s, with a call of the filter each se
 
 
 def test_intervened_tells_which_calls_since_the_row_changed_the_control_they_were_given() -> None:
-    experiment = Experiment(override(Config(), {"train": {"device": "cpu"}}, "test"), 1, DURATION)
+    experiment = Experiment(
+        override(Config(), {"train": {"device": "cpu", "compile": "off"}}, "test"), 1, DURATION
+    )
     c = experiment.config.inspection
     x, priority, _ = common_cases(experiment.config, 1, 0)
     draws = np.random.default_rng(0).uniform(-1.0, 1.0, (DURATION // DECIDE_EVERY, 6))
@@ -33,7 +36,7 @@ def test_intervened_tells_which_calls_since_the_row_changed_the_control_they_wer
     decisions = recorded(draws * c.control_limit, DECIDE_EVERY)
     run = simulate(env, decisions, Starts(x, priority), DURATION)
 
-    correct = SafetyFilter(c, experiment.config.rta)
+    correct = batched(SafetyFilter(c, experiment.config.rta))
     changed, applied = np.zeros((DURATION, 2), dtype=bool), x.new_zeros(6, 1)
     for t in range(DURATION):
         given = decisions(t, x) if t % DECIDE_EVERY == 0 else applied

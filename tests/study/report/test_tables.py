@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from inspection.transition import METRICS
-from rta.constraints.names import CONSTRAINTS
+from rta.names import CONSTRAINTS
 from study.config import StudyConfig
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS
 from study.report import tables

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from rta.constraints.names import CONSTRAINTS
+from rta.names import CONSTRAINTS
 from study.experiment import Experiment
 from study.scales import scales
 from study.training import session as training

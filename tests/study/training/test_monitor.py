@@ -9,8 +9,7 @@ import torch
 
 from inspection.termination import OUTCOMES
 from inspection.transition import Transition
-from rta.qp.programs import Status
-from rta.result import FilterResult
+from rta.result import FilterResult, Status
 from study.training.monitor import EPISODE, Exposure, LatestEpisodes, Monitor
 
 NAMES = ("near", "fast", "hot")
@@ -19,17 +18,16 @@ SEEDS, BATCH, CALLS = 2, 6, 3
 
 def correction(generator: torch.Generator) -> FilterResult:
     """What a filter did at random."""
-    status = torch.randint(len(Status), (2, BATCH), generator=generator)
+    status = torch.randint(len(Status), (BATCH,), generator=generator)
     slack = torch.randn(len(NAMES), BATCH, generator=generator, dtype=torch.float64).clamp(min=0.0)
     return FilterResult(
         control=torch.zeros(6, BATCH),
-        intervened=status.amax(0) > Status.UNTOUCHED,
-        verified=status.amax(0) == Status.UNTOUCHED,
-        backup=status.amax(0) == Status.HARD,
+        intervened=status > Status.UNTOUCHED,
+        verified=status == Status.UNTOUCHED,
+        backup=status == Status.HARD,
         active=slack > 1.0,
         slack=slack.masked_fill(torch.rand(BATCH, generator=generator) < 0.7, 0.0),
-        status=status.amax(0),
-        program_status=status,
+        status=status,
         h=torch.randn(len(NAMES), BATCH, generator=generator, dtype=torch.float64),
     )
 

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 import torch
+from numpy import ndarray
 from scipy.stats import kstest
 
 from inspection.model.dynamics import step
@@ -14,8 +15,8 @@ from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.scales import scales
 from study.verification.adversaries import LONGEST_ACTION, Greedy, adversarial, attacked, held_at_random
-from tests.oracles import held, push, slope, tensor
-from tests.rta.test_barrier import LIMIT, ROWS, flights
+from tests.oracles import paper, push, slope, tensor
+from tests.support.flights import LIMIT, flights
 
 C = InspectionParameters()
 R = RtaParameters()
@@ -45,16 +46,19 @@ def test_adversary_descends_the_row_that_zero_control_comes_closest_to_breaking(
     u = adversarial(safety)(0.0, tensor(x)).numpy()
     np.testing.assert_allclose(np.abs(u[:3]).max(0), 1.0)
     np.testing.assert_allclose(np.abs(u[3:]).max(0), C.max_torque)
-    thrust, _ = safety.rows(tensor(x))
-    worst = (thrust.b / thrust.a.norm(dim=1)).argmin(0).numpy()
-    barriers = {row: h for row, *_, h, _ in ROWS.values()}
+    a, b, *_ = safety.program.evaluated(tensor(x))
+    worst = (b[:7] / a[:7, :3].norm(dim=1)).argmin(0).numpy()
     seen = 0
-    for row, h in barriers.items():
+    for row in (0, 1, 2, 4, 5, 6):  # whose slopes differences find
+
+        def h(y: ndarray, row: int = row) -> ndarray:
+            return paper(y)[row]
+
         y = x[:, worst == row]
         if y.size:
-            gradient = np.stack([slope(h, y, push(held(y), i), 1e-3) for i in range(3)])
+            gradient = np.stack([slope(h, y, push(y, i), 1e-3) for i in range(3)])
             np.testing.assert_allclose(u[:3, worst == row], -gradient / np.abs(gradient).max(0), atol=1e-6)
-            assert (h(y + 1e-3 * sum(u[i, worst == row] * push(held(y), i) for i in range(3))) < h(y)).all()
+            assert (h(y + 1e-3 * sum(u[i, worst == row] * push(y, i) for i in range(3))) < h(y)).all()
             seen += y.shape[1]
     assert seen > 300
 

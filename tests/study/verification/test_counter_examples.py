@@ -12,8 +12,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from rta.constraints.names import CONSTRAINTS
-from rta.qp.programs import Problems, Solutions
+from rta.names import CONSTRAINTS
+from rta.result import FilterResult
 from settings import override
 from study.config import Config
 from study.experiment import Experiment
@@ -21,9 +21,9 @@ from study.verification import campaign
 from study.verification.adversaries import adversarial
 from study.verification.counter_examples import counter_example, refly
 from study.verification.starts import initial_states
-from tests.rta.test_barrier import FILTER
 from tests.study.verification.flown import flown as fly
 from tests.study.verification.test_findings import verify
+from tests.support.flights import FILTER
 from tests.test_main import call
 
 pytestmark = pytest.mark.usefixtures("small_pools")
@@ -31,12 +31,12 @@ pytestmark = pytest.mark.usefixtures("small_pools")
 
 @pytest.fixture(scope="module")
 def violated(small_pools: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A report with violations: a spacecraft of twice the mass that the filter believes, asked every 10 s."""
+    """A report with violations: four times as heavy and 2 m/s off what the filter believes, asked every 10 s."""
     import main
 
     path = tmp_path_factory.mktemp("violated") / "report.json"
     config = path.with_name("weak.toml")
-    config.write_text("[inspection]\nmax_thrust = 1.05\n[plant]\nmass_factor = 2.0\n")
+    config.write_text("[inspection]\nmax_thrust = 1.05\n[plant]\nmass_factor = 4.0\nvelocity_bias = 2.0\n")
     arguments = ["--policy", "adversarial", "--rta-period", "10", "--duration", "30", "--episodes", "24"]
     arguments += ["--qp-solver", "piqp"]
     with pytest.MonkeyPatch.context() as patch:
@@ -73,7 +73,7 @@ def test_a_violation_leaves_a_counter_example_that_flies_again_exactly(
 def test_a_flight_again_that_comes_out_otherwise_fails(
     factor: float, violated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    example = dict(np.load(next(violated.parent.glob("*.npz"))))
+    example = dict(np.load(violated.with_name(f"{violated.name}.dynamic_speed.npz")))
     path = tmp_path / "example.npz"
     np.savez(path, **(example | {"value": factor * example["value"]}))
     code, out, err = call(["refly", str(path)], capsys)
@@ -81,12 +81,10 @@ def test_a_flight_again_that_comes_out_otherwise_fails(
     assert "not what was recorded" in err and str(path) in err
 
 
-def rounded(
-    solve: Callable[[Problems, Tensor | None], Solutions], asked: Problems, wanted: Tensor | None = None
-) -> Solutions:
-    """The answer of a solver that ends a little elsewhere."""
-    answer = solve(asked, wanted)
-    return replace(answer, control=answer.control + 1e-8)
+def rounded(correct: Callable[..., FilterResult], x: Tensor, desired: Tensor) -> FilterResult:
+    """The answer of a program that ends a little elsewhere."""
+    answer = correct(x, desired)
+    return replace(answer, control=answer.control + 1e-10)  # 1e-7 of the torque
 
 
 @pytest.mark.campaign
@@ -115,8 +113,8 @@ def test_refly_does_not_depend_on_the_solvers_last_digits(monkeypatch: pytest.Mo
     example = counter_example(
         flight.record, flight.tape, torch.ones(64, dtype=torch.bool), "dynamic_speed", first.config, 1.0
     )
-    solver = second.filter.solver
-    monkeypatch.setattr(solver, "solve", partial(rounded, solver.solve))
+    program = second.filter.program
+    monkeypatch.setattr(program, "correct", partial(rounded, program.correct))
     value, when, difference = refly(second, example)
     assert example["value"] < 0
     assert value == pytest.approx(float(example["value"]), abs=1e-9)

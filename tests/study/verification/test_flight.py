@@ -11,16 +11,16 @@ from numpy import ndarray
 from inspection.closed_loop import Safety
 from inspection.environment import InspectionEnv
 from inspection.model.parameters import InspectionParameters
-from rta.constraints.names import CONSTRAINTS
+from rta.fast.filter import batched, fast
 from rta.filter import SafetyFilter
+from rta.names import CONSTRAINTS
 from rta.parameters import RtaParameters
 from study.flight.fly import ROUNDING, Limits
 from study.verification.adversaries import held_at_random
 from study.verification.starts import safe_set
 from tests.oracles import PSM_TOLERANCE, paper, tensor
-from tests.rta import test_barrier as test_rows
-from tests.rta.test_barrier import FILTER, LIMIT
 from tests.study.verification.flown import flown
+from tests.support.flights import FILTER, LIMIT, fly
 
 C = InspectionParameters()
 SECONDS, DECIDE = 24, 2  # of an episode, and between two decisions
@@ -32,9 +32,7 @@ def lax() -> SafetyFilter:
     wide = dataclasses.replace(
         C, docking_speed=0.4, speed_slope=0.008, max_temperature=11.0, min_energy=0.5, field_of_view=0.5
     )
-    safety = SafetyFilter(wide, RtaParameters())
-    safety.compile("cpu", 6)
-    return safety
+    return fast(SafetyFilter(wide, RtaParameters()), "cpu", 6)
 
 
 @functools.cache
@@ -63,7 +61,7 @@ def recount(flight: SimpleNamespace, column: int) -> dict[str, ndarray]:
         slacks.append(result.slack[:, 0].numpy())
         backups.append(bool(result.backup))
         largest = max(largest, (np.abs(u) / LIMIT).max())
-        x = test_rows.fly(x, u, steps=1)
+        x = fly(x, u, steps=1)
         states.append(x)
     h = paper(np.hstack(states)).T
     violated = h < -1e-12  # a rate at its limit is rounded either way
@@ -114,7 +112,7 @@ def test_a_long_substep_is_flown_whole_however_often_it_is_checked() -> None:
     """At substep 5 and a filter every 5 s, whether checked every second or every 5 s."""
     x, priority, _ = safe_set(4, 32, FILTER)
     c = dataclasses.replace(C, substep=5.0)
-    safety, flights = SafetyFilter(c, RtaParameters(period=5.0)).safety(), []
+    safety, flights = batched(SafetyFilter(c, RtaParameters(period=5.0))).safety(), []
     for check_every in (1.0, 5.0):
         env = InspectionEnv(4, c, [torch.Generator()], safety, 5.0, check_every)
         flights.append(flown(env, held_at_random(c, torch.Generator().manual_seed(0), 4), x, priority, 20))

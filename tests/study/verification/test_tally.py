@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from rta.constraints.names import CONSTRAINTS
-from rta.qp.programs import Status
+from rta.names import CONSTRAINTS
+from rta.result import Status
 from study.flight.fly import ROUNDING
 from study.verification import tally
 from tests.oracles import PSM_TOLERANCE, paper, tensor

@@ -14,7 +14,7 @@ from inspection.model.attitude import conjugate, rotate, unit
 from inspection.model.draws import isotropic
 from inspection.model.state import SIZE, THETA_S, E, P, Q, T, V
 from inspection.world.corners import CORNER, Recorded
-from rta.constraints.names import CONSTRAINTS
+from rta.names import CONSTRAINTS
 from rta.result import FilterResult
 from settings import override
 from study.config import Config
@@ -91,9 +91,8 @@ def let_pass(x: Tensor, desired: Tensor) -> FilterResult:
     """A filter that corrects nothing."""
     nothing = x.new_zeros(len(CONSTRAINTS), x.shape[1])
     none, status = nothing > 0.0, nothing[0].long()
-    both = status.expand(2, -1)
     checks = (none[0], none[0], none[0])
-    return FilterResult(desired, *checks, none, nothing, status, both, nothing)
+    return FilterResult(desired, *checks, none, nothing, status, nothing)
 
 
 def test_what_violates_is_the_true_state() -> None:

@@ -17,10 +17,12 @@ from scipy.spatial.transform import Rotation
 import main
 from inspection.model.dynamics import step
 from inspection.model.state import OMEGA, THRUST, TORQUE, P, Q, V
+from rta.fast.filter import batched
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS
 from settings import load
 from study.config import Config
+from study.experiment import filter_of
 from study.files import ROOT
 from study.verification.adversaries import Greedy
 from study.web.module import PILOT
@@ -88,8 +90,8 @@ def flights() -> dict[float | str, list[Flight]]:
 def filtered(world: float | str) -> SafetyFilter:
     """The page's filter, solved as its C does."""
     if world == "errors":
-        return SafetyFilter(U1.inspection, replace(U1.rta, qp_solver="batched"), uncertainty=U1.uncertainty)
-    return SafetyFilter(C.inspection, replace(C.rta, period=world, qp_solver="batched"))
+        return batched(filter_of(U1))
+    return batched(filter_of(replace(C, rta=replace(C.rta, period=world))))
 
 
 def sent(flight: Flight) -> torch.Tensor:

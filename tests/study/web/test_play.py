@@ -49,7 +49,7 @@ def test_a_page_is_built_and_the_shipped_one_is_of_this_code(
     words = ["play", "--config", "configs/plants/u1.toml", "--checkpoint", str(AGENT), "--out", str(out)]
     code, said, err = call(words, capsys)
     assert code == 0, err
-    assert "page.html: 0.9 MB" in said
+    assert "page.html: 0.7 MB" in said
     made = out.read_text(encoding="utf-8")
     # where processors may round otherwise, or pack otherwise
     rest = re.compile(r'id="(?:data|module|three)">.*?</script>', re.DOTALL)
@@ -98,10 +98,7 @@ def test_what_it_cannot_fly_or_build_is_refused(
 
 def test_settings_that_are_not_the_usual_ones_are_saved() -> None:
     """Read over the defaults, they give the page's vehicle, world and filter."""
-    own = load(
-        "configs/vehicles/3u.toml",
-        load("configs/single_slack.toml", load("configs/plants/u1.toml", Config())),
-    )
+    own = load("configs/vehicles/3u.toml", load("configs/plants/u1.toml", Config()))
     own = replace(own, rta=replace(own.rta, period=5.0))
     saved = from_toml(play.settings(own), "saved", Config())
     for table in play.SETTINGS:

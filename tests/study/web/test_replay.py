@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 import main
 from inspection.chief.points import fibonacci_sphere
 from inspection.chief.surface import light, surface
-from rta.constraints.names import CONSTRAINTS
+from rta.names import CONSTRAINTS
 from settings import load
 from study.config import Config
 from study.web import replay

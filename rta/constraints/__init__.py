@@ -1,1 +1,0 @@
-"""The limits, one entry each."""

@@ -1,1 +1,0 @@
-"""The quadratic programs and their solvers."""

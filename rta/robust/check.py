@@ -1,0 +1,153 @@
+"""The check with error bounds: a control is applied if every backup trajectory within them is safe.
+
+States are known within bounds only, and a control may be held for one call or for several. Torque is applied if, from
+every state that may be true, it keeps the attitude's limits while it is held, and a backup trajectory to rest
+(`rta.robust.attitude_check`) begins at every call that may end that; thrust likewise with the limits of motion
+and a backup trajectory into the terminal set (`rta.robust.motion_check`). Neither trajectory depends on what the
+other group does. That keeps the limits from every state from which a backup trajectory begins, whatever is measured.
+So, by induction over the true states, none is ever broken (docs/reference/proof_with_bounds.md).
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor
+
+from columns import call, when
+from inspection.model.parameters import Limits
+from inspection.model.state import SIZE, THRUST, TORQUE
+from inspection.model.state_checks import LARGEST, is_state
+from inspection.world.uncertainty import Uncertainty
+from rta.check.attitude_law import has_rest
+from rta.check.commit import LIMITS, Check, NoCheckError
+from rta.robust import attitude_check, motion_check
+from rta.robust.attitude_constants import AttitudeConstants
+from rta.robust.prediction import KINDS
+from rta.robust.terminal_set import RobustTerminalSet, thrust
+
+T = TypeVar("T")
+
+
+class RobustCheck(Check):
+    """The check with error bounds.
+
+    Attributes:
+        terminal_set: the law of thrust and its terminal set; attitude: the constants of the law of torque. None: none
+            is safe.
+    """
+
+    size = SIZE + KINDS
+    FIXED = ("terminal_set", "attitude", "c", "period", "knows", "reason")
+
+    def __init__(self, c: Limits, period: float, uncertainty: Uncertainty) -> None:
+        self.c, self.period = c, period
+        self.terminal_set, no_motion = made(terminal_set_of, c, period, uncertainty)
+        self.attitude, no_attitude = made(attitude_constants_of, c, period, uncertainty)
+        self.knows = self.terminal_set is not None, self.attitude is not None
+        why = "; ".join(reason for reason in (no_motion, no_attitude) if reason)
+        self.reason = f"{why}, within {uncertainty.said}" if why else ""
+        if not any(self.knows):
+            raise NoCheckError(self.reason)
+
+    def has_backup_trajectory(self, x: Tensor) -> Tensor:
+        found = torch.ones_like(x[0], dtype=torch.bool)
+        if self.attitude:
+            found &= attitude_check.has_backup_trajectory(x, self.attitude)
+        if self.terminal_set:
+            found &= motion_check.has_backup_trajectory(x, self.terminal_set)
+        return found
+
+    def fit(self, y: Tensor, h: Tensor) -> tuple[Tensor, Tensor]:
+        """Leaves a group unchecked where one of its limits is surely broken: no backup trajectory begins there.
+
+        States that are not possible cannot be checked.
+        """
+        possible = is_state(y[:SIZE], self.c) & (y[SIZE:] <= LARGEST).all(0)
+        found = possible & (self.may_be_kept(y) >= 0.0)
+        return torch.zeros_like(y[:LIMITS], dtype=torch.bool), found
+
+    def led(self, y: Tensor, broken: Tensor, fit: Tensor) -> Tensor:
+        """As `Check.led`: where no control can be checked, but the state is one."""
+        known = torch.stack([torch.full_like(fit[0], each) for each in self.knows])
+        return known & ~fit & is_state(y[:SIZE], self.c)
+
+    def may_be_kept(self, y: Tensor) -> Tensor:
+        """The most that the least limit of thrust and of torque can be, (2, B); -1 without a backup trajectory."""
+        x, error_bound = y[:SIZE], y[SIZE:]
+        none = -torch.ones_like(x[0])
+        return torch.stack(
+            (
+                motion_check.may_be_kept(x, error_bound, self.terminal_set) if self.terminal_set else none,
+                attitude_check.may_be_kept(x, error_bound, self.attitude) if self.attitude else none,
+            )
+        )
+
+    def torque(self, y: Tensor) -> Tensor:
+        return call(attitude_law, y, self.attitude) if self.attitude else torch.zeros_like(y[:3])
+
+    def thrust(self, y: Tensor, torque: Tensor) -> Tensor:
+        return (
+            call(motion_law, y, torque, self.terminal_set) if self.terminal_set else torch.zeros_like(torque)
+        )
+
+    def is_safe(self, y: Tensor, u: Tensor, broken: Tensor, asked: Tensor) -> Tensor:
+        attitude = motion = torch.zeros_like(asked[0])
+        if w := self.attitude:
+            (attitude,) = when(asked[1], keeps_attitude, [attitude], y, u, w, waits=True)
+        if v := self.terminal_set:
+            open_ = asked[0]
+            if self.attitude:  # where torque is not safe thrust is looked at with another one
+                open_ = open_ & (attitude | ~asked[1])
+            (motion,) = when(open_, motion_check.keeps_motion, [motion], y, u, v, self.period, waits=True)
+        return torch.stack((motion, attitude))
+
+    def with_own(self, u: Tensor, group: int, own: Tensor) -> Tensor:
+        """As `Check.with_own`, rounded to what the actuators can give."""
+        u = super().with_own(u, group, own)
+        if not (self.terminal_set and self.terminal_set.uncertainty.is_quantised):
+            return u
+        return torch.cat(
+            (self.terminal_set.uncertainty.quantised(u[THRUST], self.terminal_set.c.max_thrust), u[TORQUE])
+        )
+
+
+def attitude_law(y: Tensor, w: AttitudeConstants) -> Tensor:
+    """The law's torque (3, B) in N m."""
+    return attitude_check.law(y[:SIZE], w)
+
+
+def motion_law(y: Tensor, torque: Tensor, w: RobustTerminalSet) -> Tensor:
+    """The law's thrust (3, B) in N while torque (3, B) is held."""
+    return thrust(y[:SIZE], torque, w)
+
+
+def keeps_attitude(y: Tensor, u: Tensor, w: AttitudeConstants) -> list[Tensor]:
+    """(B,) bool: torque of controls (6, B) keeps the limits, as the backup trajectory does."""
+    return [attitude_check.verified(y[:SIZE], u, y[SIZE:], w) >= 0.0]
+
+
+def made(make: Callable[..., T], *given: Any) -> tuple[T | None, str]:
+    """Returns what is made, or None and why nothing is known."""
+    try:
+        return make(*given), ""
+    except NoCheckError as error:
+        return None, str(error)
+
+
+def terminal_set_of(c: Limits, period: float, uncertainty: Uncertainty) -> RobustTerminalSet:
+    """Raises NoCheckError where the bounds leave no invariant set, on an ellipse and beside a hull."""
+    if c.orbit != "clohessy-wiltshire" or c.hill_rotation:
+        raise NoCheckError("the chief's orbit must be a circle, in a frame whose turning is left out")
+    if c.planes:
+        raise NoCheckError("beside a hull no invariant set is known")
+    return RobustTerminalSet.of(c, period, uncertainty)
+
+
+def attitude_constants_of(c: Limits, period: float, uncertainty: Uncertainty) -> AttitudeConstants:
+    """Raises NoCheckError without a backup trajectory to rest within the bounds, or of this vehicle."""
+    if not c.is_circular or c.hill_rotation:
+        raise NoCheckError("the chief's orbit must be a circle, in a frame whose turning is left out")
+    if not has_rest(c):
+        raise NoCheckError("there is no attitude of rest: panels must be on -x, the thermal side across them")
+    return AttitudeConstants.of(c, period, uncertainty)

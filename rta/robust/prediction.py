@@ -1,0 +1,57 @@
+"""What a state that is some calls old has become, and how far it may be off then."""
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from inspection.model.attitude import norm
+from inspection.model.dynamics import step
+from inspection.model.parameters import Limits
+from inspection.model.state import THRUST, TORQUE
+from inspection.world.uncertainty import Uncertainty
+
+KINDS = 4  # of what is measured: position, velocity, attitude, rates
+
+
+def unsaturated(c: Limits) -> Limits:
+    """The model without the saturation of rates."""
+    return replace(c, saturate_rates=False)
+
+
+def predicted(
+    x: Tensor, error_bound: Tensor, u: Tensor, c: Limits, period: float, uncertainty: Uncertainty
+) -> tuple[Tensor, Tensor]:
+    """The states a period after others, and how much further they may be off than when they were measured.
+
+    An acceleration that is off by A for T changes a velocity by A T and a position by A T^2 / 2 more than it was off.
+    Thrust is off by its size's error, by each thruster's misalignment, and by how far the body is turned otherwise.
+
+    Args:
+        x: (16, B); error_bound: (4, B) in m, m/s, rad, rad/s, how much further than measured they may be off already.
+        u: (6, B) the controls held since, NaN where a state is younger; it is left as it is.
+
+    Returns:
+        States (16, B) and (4, B).
+    """
+    model, t = unsaturated(c), period
+    aside = math.sin(math.radians(uncertainty.thrust_misalignment))
+    _, velocity, attitude, rate = uncertainty.radii
+    error, most, twist = uncertainty.thrust_error, uncertainty.thrust[1], uncertainty.torque_error
+    old = ~u.isnan().any(0)
+    u = u.nan_to_num()
+    p, v, q, omega = error_bound
+    twisted = twist * norm(u[TORQUE]) / min(c.inertia) + uncertainty.angular_acceleration(c)
+    angle = attitude + q + (rate + omega) * t / 2 + twisted * t**2 / 6
+    off = (error + most * angle) * norm(u[THRUST]) + most * aside * u[THRUST].abs().sum(0)
+    push = off / c.mass + uncertainty.acceleration
+    grown = torch.stack(
+        (
+            p + (velocity + v) * t + push * t**2 / 2,
+            v + push * t,
+            q + (rate + omega) * t + twisted * t**2 / 2,
+            omega + twisted * t,
+        )
+    )
+    return torch.where(old, step(x, u, t, model), x), torch.where(old, grown, error_bound)

@@ -1,0 +1,221 @@
+"""The set in which flights end: the laws do not leave it, and all limits are kept in it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from inspection.model.attitude import rotation_matrix
+from inspection.model.state import OMEGA, THETA_S, E, P, Q, T, V
+from rta.check.attitude_law import Pointing, rest_deviation
+from rta.check.commit import NoCheckError
+from rta.check.motion_law import Braking, field
+from rta.check.nominal import NominalCheck
+from rta.check.terminal_set import CALM, TerminalSet, cone, hold_error, leftover, lyapunov
+from rta.parameters import PERIODS
+from tests.oracles import moved
+from tests.rta.check.flights import NAMES, C, anywhere, backup, in_c, least_of, random, unit, vehicle
+
+ROUNDED = 1e-9
+
+
+def turned_by(x: Tensor, delta: Tensor, side: Tensor, roll: Tensor, flipped: Tensor, axis: str) -> Tensor:
+    """Quaternions (4, B) with the panels, -x, so far from the Sun, and the cooled axis so far rolled from z or -z."""
+    s = torch.stack((x[THETA_S].cos(), x[THETA_S].sin(), torch.zeros_like(delta)))
+    z = torch.zeros_like(s)
+    z[2] = 1.0
+    t = torch.linalg.cross(s, z, dim=0)
+    tilt = side.cos() * z + side.sin() * t
+    d = delta.cos() * s + delta.sin() * tilt
+    # Hill's z, turned along with s until it is at d
+    turned = z - (d * z).sum(0) / (1 + (d * s).sum(0)) * (s + d)
+    other = torch.linalg.cross(d, turned, dim=0)
+    e = (torch.where(flipped, -1.0, 1.0) * roll.cos()) * turned + roll.sin() * other
+    sign, index = (-1.0 if axis[0] == "-" else 1.0), "xyz".index(axis[1])
+    columns: list[Tensor] = [-d, -d, -d]  # of the body's axes in Hill's frame
+    columns[index] = sign * e
+    last = 3 - index
+    columns[last] = torch.linalg.cross(columns[(last + 1) % 3], columns[(last + 2) % 3], dim=0)
+    m = torch.stack(columns, 1)  # (3 in Hill's frame, 3 of the body, B)
+    return quaternion(m)
+
+
+def quaternion(m: Tensor) -> Tensor:
+    """(4, B), scalar last, of matrices (3, 3, B) from body to Hill's frame: Davenport's eigenvector."""
+    b = m.permute(2, 0, 1)
+    k = torch.zeros(len(b), 4, 4, dtype=torch.float64)
+    trace = b.diagonal(dim1=1, dim2=2).sum(1)
+    k[:, :3, :3] = b + b.transpose(1, 2) - trace[:, None, None] * torch.eye(3, dtype=torch.float64)
+    z = torch.stack((b[:, 2, 1] - b[:, 1, 2], b[:, 0, 2] - b[:, 2, 0], b[:, 1, 0] - b[:, 0, 1]), 1)
+    k[:, :3, 3], k[:, 3, :3], k[:, 3, 3] = z, z, trace
+    return torch.linalg.eigh(k)[1][:, :, -1].T
+
+
+def inside(name: str, hold: float, saturates: bool, count: int, seed: int) -> Tensor:
+    """States in the set, two thirds of them at its boundary: of the cone, of the motion, of heat and charge."""
+    c, b = vehicle(name, saturates), backup(name, hold, saturates)
+    s, x = b.terminal, anywhere(count, seed, c)
+    draw, side = random(16, count, seed), random(3, count, seed + 1)
+    kind = torch.arange(count) % 3
+    # attitude: a = (delta across d, roll) and T w any, then scaled to V = R^2 (share of it)
+    a, w = unit(draw[:3]), unit(draw[3:6]) * (1 + draw[15]) ** 2
+    delta, roll = a[:2].norm(dim=0), a[2]
+    share = torch.where(kind == 2, (1 + draw[6]) / 2, torch.ones_like(draw[6]))
+    flipped = draw[7] > 0.0
+    low, high = torch.zeros(count, dtype=torch.float64), torch.full((count,), 0.2, dtype=torch.float64)
+    for _ in range(50):  # halvings: V rises with the scale
+        scale = (low + high) / 2
+        y = posed(x, scale * delta, torch.atan2(a[1], a[0]), scale * roll, flipped, scale * w / hold, name, c)
+        fits = s.room(y)[0] >= (1 - share**2) * s.radius**2
+        low, high = torch.where(fits, scale, low), torch.where(fits, high, scale)
+    x = posed(x, low * delta, torch.atan2(a[1], a[0]), low * roll, flipped, low * w / hold, name, c)
+    # heat and charge
+    x[T] = s.hottest - torch.where(kind == 0, 0.0, 5.0 * (1 + draw[8]))
+    x[E] = s.emptiest + torch.where(kind == 0, 0.0, 2.0 * (1 + draw[9]))
+    # motion
+    edges = torch.tensor([s.nearest * (1 + 1e-12), s.farthest * (1 - 1e-12)], dtype=torch.float64)
+    between = s.nearest + (s.farthest - s.nearest) * (1 + draw[10]) / 2
+    beside = edges[(draw[10] > 0.0).long()] + torch.where(draw[10] > 0.0, -1.0, 1.0) * (1 + draw[11])
+    distance = torch.where(kind == 0, edges[(draw[10] > 0.0).long()], torch.where(kind == 1, beside, between))
+    x[P] = distance.clamp(*edges.tolist()) * unit(x[P])
+    # towards the end that is nearer, or in any direction
+    inwards = -unit(x[P]) * torch.where(distance < 100.0, 1.0, -1.0)
+    rest_deviation = torch.where(draw[12] > 0.0, inwards, unit(side))
+    x[V] = field(x[P], c) + (1 - 1e-9) * CALM * rest_deviation
+    return x
+
+
+def posed(
+    x: Tensor, delta: Tensor, way: Tensor, roll: Tensor, flipped: Tensor, rates: Tensor, name: str, c: object
+) -> Tensor:
+    """The states with another attitude, and rates (3, B) relative to the Sun."""
+    y = x.clone()
+    y[Q] = turned_by(x, delta, way, roll, flipped, vehicle(name).thermal_axis)
+    y[OMEGA] = rates - vehicle(name).mean_motion * rotation_matrix(y[Q])[2]
+    return y
+
+
+def least_kept(x: Tensor, name: str, hold: float, saturates: bool, holds: int) -> tuple[Tensor, Tensor]:
+    """The least room in the set, in units of its own, and of each limit in each of the plant's steps.
+
+    Not by the bounds between looks, which need more room than there is at the set's edges.
+    """
+    flight, s = in_c(name, hold, saturates), backup(name, hold, saturates).terminal
+    c = vehicle(name, saturates)
+    room, limit = s.room(x), least_of(x, c, 10.0)
+    for i in range(holds):
+        end, _, u, _, after = flight(x)
+        for _ in range(round(hold / c.substep)):
+            x = moved(x, u, c.substep, c)
+            limit = np.minimum(limit, least_of(x, c))
+        if i % 30 == 0:
+            limit = np.minimum(limit, least_of(x, c, 10.0))
+        assert torch.equal(x, end)
+        room = torch.minimum(room, after)
+    return room, torch.from_numpy(limit)
+
+
+@pytest.mark.parametrize(
+    ("name", "hold", "saturates"),
+    [
+        ("espa", 10.0, True),
+        *(
+            pytest.param(name, hold, saturates, marks=pytest.mark.campaign)
+            for name in NAMES
+            for hold in PERIODS
+            for saturates in (True, False)
+        ),
+    ],
+)
+def test_the_laws_stay_in_it_and_keep_all_limits(name: str, hold: float, saturates: bool) -> None:
+    x = inside(name, hold, saturates, 200, 1)
+    s = backup(name, hold, saturates).terminal
+    at_first = s.room(x)
+    assert (at_first >= -ROUNDED).all()
+    assert ((at_first[0] < 1e-6 * s.radius**2)[::3]).all() and (at_first[3] < 1e-9).all()
+    room, limit = least_kept(x, name, hold, saturates, 40)
+    assert (room >= -ROUNDED).all(), room.amin(1)
+    assert (limit >= 0.0).all(), limit.amin(1)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize(("name", "hold"), [("paper", 1.0), ("paper", 5.0), ("paper", 10.0), ("espa", 10.0)])
+def test_the_laws_stay_in_it_for_long(name: str, hold: float) -> None:
+    room, limit = least_kept(inside(name, hold, False, 90, 3), name, hold, False, 300)
+    assert (room >= -ROUNDED).all() and (limit >= 0.0).all(), (room.amin(1), limit.amin(1))
+
+
+@pytest.mark.parametrize(("what", "by"), [("hottest", 0.03), ("emptiest", -0.03), ("nearest", -1.0)])
+def test_a_larger_set_would_hold_states_that_break_a_limit(what: str, by: float) -> None:
+    """So the test above can fail: states at the edge of a set that is larger by this break it, now or later."""
+    b = backup("paper", 5.0)
+    own = b.terminal
+    x = inside("paper", 5.0, True, 300, 1)
+    wide = replace(own, **{what: getattr(own, what) + by})
+    if what == "nearest":
+        x[P] = wide.nearest * unit(x[P])
+        x[V] = field(x[P], C) - CALM * unit(x[P])
+    else:
+        x[T if what == "hottest" else E] += by
+    row = {"hottest": 1, "emptiest": 2, "nearest": 4}[what]
+    assert (wide.room(x) >= -ROUNDED).all(0).any() and (own.room(x)[row, ::3] < 0.0).all()
+    _, limit = least_kept(x, "paper", 5.0, True, 20)
+    assert (limit < 0.0).any()
+
+
+@pytest.mark.parametrize(
+    ("name", "hold"),
+    [
+        ("paper", 10.0),
+        ("espa", 10.0),
+        *(pytest.param(name, hold, marks=pytest.mark.campaign) for name in NAMES for hold in PERIODS),
+    ],
+)
+def test_a_hold_of_the_law_ends_where_the_form_says_but_for_the_bounds(name: str, hold: float) -> None:
+    """(a, T w) becomes M (a, T w), but for what is non-linear: the step of the proof that flights alone do not show."""
+    c, b = vehicle(name), backup(name, hold)
+
+    def coordinates(x: Tensor) -> tuple[Tensor, Tensor]:
+        """a and T w in the body, (3, B) each."""
+        a, roll, _ = rest_deviation(x, c)
+        a[0] -= roll  # about the panels' axis, -x
+        return a, hold * (x[OMEGA] + c.mean_motion * rotation_matrix(x[Q])[2])
+
+    x, z = inside(name, hold, True, 300, 7), b.pointing.kappa * hold
+    (a, turn), (a_after, turn_after) = (
+        coordinates(x),
+        coordinates(b.hold(x, b.law(x), torch.ones_like(x[0], dtype=torch.bool))[0]),
+    )
+    of_a = (a_after - (1 - z / 2) * a + turn / 2).norm(dim=0)
+    of_turn = (turn_after - z * a).norm(dim=0)
+    angle = a.norm(dim=0).asin()
+    rate = torch.maximum(turn.norm(dim=0) / hold, b.pointing.kappa * angle)
+    bounds = [hold_error(b.pointing, *each)[:2] for each in zip(angle.tolist(), rate.tolist(), strict=True)]
+    shares = torch.stack((of_a, of_turn)) / torch.tensor(bounds, dtype=torch.float64).T
+    assert (shares <= 1.0).all(), shares.amax(1)
+    if name == "paper":  # of equal moments: the bound of gyroscopic torque is zero
+        assert (shares.amax(1) > torch.tensor([0.2, 0.6])).all(), shares.amax(1)
+
+
+def test_where_the_laws_stay_nowhere_there_is_no_set() -> None:
+    pointing = Pointing.of(C, 1.0)
+    form = lyapunov(pointing.kappa)
+    for other, match in (
+        (replace(C, inertia=(50.0, 50.0, 50.0)), "rest"),  # torque does not suffice
+        (replace(C, max_temperature=-200.0), "rest"),  # radiates less than the Earth gives
+        (replace(C, power_draw=80.0), "rest"),  # no light charges it
+    ):
+        with pytest.raises(NoCheckError, match=match):
+            cone(replace(pointing, c=other), *form)
+        with pytest.raises(NoCheckError, match=match):
+            NominalCheck(other, 1.0)
+    small = replace(C, max_distance=60.0)
+    with pytest.raises(NoCheckError, match="zone"):
+        TerminalSet.of(Pointing.of(small, 1.0), Braking.of(small, 1.0, 0.05))
+    long = Braking.of(C, 60.0, 0.03)
+    with pytest.raises(NoCheckError, match="strays"):
+        leftover(long, 0.02)
+    with pytest.raises(NoCheckError, match="strays"):
+        TerminalSet.of(Pointing.of(C, 10.0), long)
