@@ -22,6 +22,7 @@ from torch import Tensor
 from inspection.chief.hull import with_hull
 from inspection.environment import InspectionEnv
 from inspection.model.parameters import ChiefParameters, InspectionParameters
+from rta.fast.filter import fast
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from settings import Parser, positive_integer
@@ -103,7 +104,7 @@ def main(argv: list[str] | None = None) -> None:
     task = with_hull(*(constants(session, *each) for each in TABLES))
     safety_filter = SafetyFilter(task, RtaParameters())
     if arguments.compile:
-        safety_filter.compile("cpu", 1)
+        safety_filter = fast(safety_filter)
     control_loop(session, safety_filter, 2)  # the first calls take longer
     latency, violated = control_loop(session, safety_filter, arguments.seconds)
     for name, calls in latency.items():
