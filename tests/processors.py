@@ -15,7 +15,7 @@ import sys
 import time
 from pathlib import Path
 
-from kernels.build import processor
+import torch
 
 ROOT = Path(__file__).parents[1]
 # what flies or trains a network, or compares one with what other code or another processor made of it
@@ -32,7 +32,12 @@ SENSITIVE = (
     "study/web/test_flight.py::test_an_episode_is_flown_as_in_python",
     "test_docs.py::test_a_page_prints_what_it_says[guides/your_own_policy]",
 )
-MKL = ("unset", "COMPATIBLE", "AVX2", *(["AVX512"] if "avx512f" in processor().split() else []))
+MKL = (
+    "unset",
+    "COMPATIBLE",
+    "AVX2",
+    *(["AVX512"] if torch.backends.cpu.get_cpu_capability() == "AVX512" else []),
+)
 SETTINGS = ["/".join(each) for each in itertools.product(MKL, ("default", "avx2"), "12")]
 CORES = 2
 THREADS = "TEST_THREADS"  # of each process of tests, one unless this variable says otherwise

@@ -39,8 +39,8 @@ TESTS = (
 
 
 def imported(path: Path) -> Iterator[str]:
-    """The modules that a file imports, as folders."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    """The modules that a file imports where it is imported itself, as folders."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.ImportFrom) and node.module:
             yield from (f"{node.module}.{name.name}".replace(".", "/") for name in node.names)
         elif isinstance(node, ast.Import):
@@ -48,21 +48,22 @@ def imported(path: Path) -> Iterator[str]:
 
 
 def take_off(folder: Path, parts: tuple[str, ...]) -> None:
-    """Removes parts, and every test that imports one of them or a test that is gone."""
+    """Removes parts, and every test of them: that imports one, another wing that needs it, or a test that is gone."""
     for part in parts:
         shutil.rmtree(folder / part, ignore_errors=True)
-    gone = [part for part in parts if not part.startswith("tests")]
+    gone = {part for part in parts if not part.startswith("tests")}
     while True:
-        broken = [
-            path
-            for path in (folder / "tests").rglob("*.py")
+        found = {
+            path.relative_to(folder).with_suffix("").as_posix()
+            for path in folder.rglob("*.py")
             if any(name.startswith(tuple(gone)) for name in imported(path))
-        ]
-        if not broken:
-            return
-        for path in broken:
-            path.unlink()
-        gone = [path.relative_to(folder).with_suffix("").as_posix() for path in broken]
+        }
+        if found <= gone:
+            break
+        gone |= found
+    for name in gone:
+        if name.startswith("tests/") and name != "tests/wings":
+            (folder / f"{name}.py").unlink(missing_ok=True)
 
 
 def stands(wing: str, every_test: bool) -> bool:
