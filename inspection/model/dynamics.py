@@ -66,6 +66,11 @@ def euler(omega: Any, inertia: Any) -> tuple[Any, Any, Any]:
     return (j2 - j3) / j1 * w2 * w3, (j3 - j1) / j2 * w1 * w3, (j1 - j2) / j3 * w1 * w2
 
 
+def most_gyroscopic(inertia: Any) -> float:
+    """Returns the largest |J_j - J_k| / J_i: rad/s^2 about an axis per (rad/s)^2 about the others."""
+    return max(abs(each) for each in euler((1.0,) * 3, inertia))
+
+
 def attitude_rate(x: Components, turns: bool, c: Limits) -> tuple[Tensor, ...]:
     """The components of dq/dt, from those of x; `turns`: omega is relative to the stars, not to Hill's frame."""
     omega = rate_in_hill(x[Q], x[OMEGA], orbit_rate(x[THETA_S], c)) if turns else x[OMEGA]

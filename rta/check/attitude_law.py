@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import cross, dot, norm, rotation_matrix
-from inspection.model.dynamics import euler, sun_and_earth_in_body
+from inspection.model.dynamics import euler, most_gyroscopic, sun_and_earth_in_body
 from inspection.model.parameters import AXES, Limits
 from inspection.model.state import OMEGA, Q
 from rta.check.commit import NoCheckError
@@ -68,7 +68,7 @@ def overshoot(c: Limits, hold: float) -> float:
     Raises:
         NoCheckError: these are too large.
     """
-    gyroscopic = max(abs(each) for each in euler((1.0,) * 3, c.inertia)) * c.max_rate
+    gyroscopic = most_gyroscopic(c.inertia) * c.max_rate
     seconds, turned = min(c.substep, hold), gyroscopic * hold
     if gyroscopic * seconds > 0.1 or turned > 0.5:
         raise NoCheckError("gyroscopic torque turns the body as fast as the law does")

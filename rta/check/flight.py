@@ -13,7 +13,7 @@ from inspection.model.attitude import norm, rotate
 from inspection.model.dynamics import (
     cosine_to,
     energy_rate,
-    euler,
+    most_gyroscopic,
     step,
     sun_and_earth_in_body,
     temperature_rate,
@@ -68,7 +68,7 @@ class Flight:
         one, none = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
         cold = temperature_rate(none, none, none, c)
         # |(a w2 w3, b w1 w3, c w1 w2)| is at most the largest of a, b, c times |w|^2 / sqrt(3)
-        spin = max(abs(each) for each in euler((1.0,) * 3, c.inertia)) / math.sqrt(3.0)
+        spin = most_gyroscopic(c.inertia) / math.sqrt(3.0)
         return cls(
             c, seconds, counts, FreeFlight.of(c, *CELLS), c.largest_drift(c.max_distance, fastest), spin,
             heating=(temperature_rate(one, one, none, c) - cold).item(),

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from inspection.chief.hull import farthest
 from inspection.model.attitude import dot, norm, rotation_matrix
-from inspection.model.dynamics import energy_rate, euler, temperature_rate
+from inspection.model.dynamics import energy_rate, most_gyroscopic, temperature_rate
 from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, E, P, Q, T, V
 from rta.check.attitude_law import Pointing, rest_deviation
@@ -111,7 +111,7 @@ def hold_error(w: Pointing, angle: float, rate: float) -> tuple[float, float, fl
     change, and for how n z has turned.
     """
     c, t, n = w.c, w.hold, w.c.mean_motion
-    spin, far = max(abs(each) for each in euler((1.0,) * 3, c.inertia)), angle + rate * t
+    spin, far = most_gyroscopic(c.inertia), angle + rate * t
     g = math.hypot(far + far**2 / 2, far**2 / 2 + math.tan(far / 2))
     otherwise = spin * 2 * (rate + n) * 2 * rate * t + n * rate * t + 1e-9
     of_w = t * (w.kappa**2 * t / 2 * angle**2 + otherwise)
@@ -123,7 +123,7 @@ def cone(w: Pointing, quadratic: tuple[float, float, float], contracts: float) -
     c, t, kappa = w.c, w.hold, w.kappa
     p = torch.tensor([[quadratic[0], quadratic[1]], [quadratic[1], quadratic[2]]], dtype=torch.float64)
     inverse, most = torch.linalg.inv(p), torch.linalg.eigvalsh(p)[-1].item()
-    spin, n = max(abs(each) for each in euler((1.0,) * 3, c.inertia)), c.mean_motion
+    spin, n = most_gyroscopic(c.inertia), c.mean_motion
     for i in range(PARTS, 0, -1):
         radius = WIDEST * i / PARTS
         angle = math.asin(min(1.0, radius * math.sqrt(inverse[0, 0].item())))

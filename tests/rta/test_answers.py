@@ -3,8 +3,6 @@
 States are in flight and far beyond several limits at once; demands are up to three times the actuators' limits.
 """
 
-from functools import cache
-
 import pytest
 import torch
 from torch import Tensor
@@ -12,14 +10,12 @@ from torch import Tensor
 from inspection.model.attitude import unit
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THETA_S, THRUST, E, P, Q, T, V
-from kernels.build import NoCompilerError, compiler
-from rta.fast.filter import batched, in_c
 from rta.fast.program import FEASIBLE, NO_INFLUENCE
 from rta.filter import SafetyFilter
 from rta.paper import GIVEN
-from rta.parameters import RtaParameters
 from rta.result import FilterResult, Status
 from tests import golden
+from tests.support.flights import way as filter_of
 
 C = InspectionParameters()
 LIMIT = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
@@ -38,19 +34,6 @@ DESIRED = (
     0.006180503459317654, 0.0014174160838219395, 0.005341735511732319,
 )  # fmt: skip
 CORNER = torch.tensor([-1.0, 1.0, -1.0], dtype=torch.float64)
-
-
-@cache
-def filter_of(way: str, kind: str) -> SafetyFilter:
-    """The paper's filter, whose answers are its programs', or the checked one, with a solver or all of it in C."""
-    made = SafetyFilter(C, RtaParameters(filter=kind))
-    if way == "C":
-        try:
-            compiler()
-        except NoCompilerError:
-            pytest.skip("no C compiler")
-        return in_c(batched(made))
-    return batched(made) if way == "batched" else made
 
 
 def near_and_beyond(count: int, seed: int) -> tuple[Tensor, Tensor]:
@@ -92,7 +75,7 @@ def kept(way: str, safety: SafetyFilter, x: Tensor, control: Tensor) -> tuple[Te
 
 def check(way: str, x: Tensor, desired: Tensor, answer: FilterResult) -> None:
     """Asserts what the statuses of programs promise."""
-    safety, within = filter_of(way, "paper"), desired.clamp(-LIMIT, LIMIT)
+    safety, within = filter_of(way, checked=False), desired.clamp(-LIMIT, LIMIT)
     all_hold, holds = kept(way, safety, x, answer.control)
     _, would_hold = kept(way, safety, x, within)
     applied, clipped = (answer.control == desired).all(0), (answer.control == within).all(0)
@@ -111,7 +94,7 @@ def check(way: str, x: Tensor, desired: Tensor, answer: FilterResult) -> None:
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("count", [800, pytest.param(100_000, marks=pytest.mark.campaign)])
 def test_what_programs_call_solved_satisfies_every_condition(way: str, count: int) -> None:
-    safety = filter_of(way, "paper")
+    safety = filter_of(way, checked=False)
     x, desired = near_and_beyond(count, 1)
     answer = safety.correct(x, desired)
     assert not answer.verified.any() and not answer.backup.any()
@@ -121,7 +104,7 @@ def test_what_programs_call_solved_satisfies_every_condition(way: str, count: in
 @pytest.mark.parametrize(("way", "count"), [("batched", 60), ("C", 800)])
 def test_the_checked_filters_statuses_say_what_they_promise(way: str, count: int) -> None:
     """A verified control may break conditions, which keep more than limits; what is not verified has its slack said."""
-    safety = filter_of(way, "checked")
+    safety = filter_of(way)
     x, desired = near_and_beyond(count, 2)
     answer = safety.correct(x, desired)
     assert (answer.control.abs() <= LIMIT).all() and (answer.status < Status.UNSOLVED).all()
@@ -138,7 +121,7 @@ def test_the_checked_filters_statuses_say_what_they_promise(way: str, count: int
 def test_every_way_gives_the_same_answer_beyond_several_limits(way: str) -> None:
     x = torch.cat((torch.tensor(AT_A_CORNER, dtype=torch.float64)[:, None], near_and_beyond(200, 3)[0]), 1)
     u = torch.cat((torch.tensor(DESIRED, dtype=torch.float64)[:, None], near_and_beyond(200, 3)[1]), 1)
-    ours, theirs = (filter_of(each, "paper").correct(x, u) for each in (way, "batched"))
+    ours, theirs = (filter_of(each, checked=False).correct(x, u) for each in (way, "batched"))
     solved = theirs.status <= Status.HARD
     torch.testing.assert_close(theirs.control[THRUST, 0], LIMIT[THRUST, 0] * CORNER, rtol=0.0, atol=1e-6)
     if way == "C":
@@ -153,6 +136,6 @@ def test_every_way_gives_the_same_answer_beyond_several_limits(way: str) -> None
 def test_no_state_that_is_finite_is_left_open() -> None:
     x, u = golden.states(3000, 0)
     finite = x.isfinite().all(0)
-    assert (filter_of("C", "checked").correct(x, u).status == Status.UNSOLVED).sum() == (~finite).sum() > 100
-    found = filter_of("batched", "checked").program.correct(x[:, finite], u[:, finite])
+    assert (filter_of("C").correct(x, u).status == Status.UNSOLVED).sum() == (~finite).sum() > 100
+    found = filter_of("batched").program.correct(x[:, finite], u[:, finite])
     assert (found.status < Status.UNSOLVED).all()

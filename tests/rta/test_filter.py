@@ -11,7 +11,6 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy, deepcopy
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -26,11 +25,10 @@ from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters, Limits
 from inspection.model.state import OMEGA, E, T
 from inspection.world.uncertainty import Uncertainty
-from kernels.build import NoCompilerError, compiler
 from kernels.compiled import Compiled
 from rta.check.nominal import NominalCheck
 from rta.demand import ENDLESS, LARGEST_DEMAND, demanded, in_mid_hold, within_rates
-from rta.fast.filter import batched, fast, in_c
+from rta.fast.filter import batched, fast
 from rta.fast.program import FEASIBLE, FastProgram
 from rta.filter import SafetyFilter
 from rta.limits import Limit
@@ -41,8 +39,9 @@ from rta.result import FilterResult, Status
 from rta.robust.filter import RobustFilter
 from study.machine import finds_compiler
 from study.verification.starts import safe_set
-from tests.oracles import PSM_TOLERANCE, at_the_edge, by_nnls, last_psi, length, paper, states, tensor
+from tests.oracles import PSM_TOLERANCE, at_the_edge, by_nnls, last_psi, paper, states, tensor
 from tests.support.filters import Unproposed, without_check
+from tests.support.flights import commands, near_the_limits, way
 from tests.support.states import at_rest, impossible
 
 C = InspectionParameters()
@@ -55,37 +54,8 @@ WAYS = ("piqp", "batched", "C")
 CONFLICTS = json.loads(Path(__file__).with_name("conflicts.json").read_text())
 
 
-def near_the_limits(count: int, seed: int = 0) -> ndarray:
-    """(16, count) states within some limits and beyond others, at up to 1.1 times the dynamic speed limit."""
-    rng = np.random.default_rng(seed)
-    p, v, q = rng.standard_normal((3, 4, count))
-    p = p[:3] / length(p[:3]) * rng.choice((18.0, 50.0, 200.0, 790.0), count) * rng.uniform(1, 1.01, count)
-    v = v[:3] / length(v[:3]) * rng.uniform(0, 1.1, count) * (0.2 + 7.5 * 0.001027 * length(p))
-    omega = rng.uniform(-1, 1, (3, count)) * math.radians(2)
-    rest = rng.uniform(3, 10, count), rng.uniform(1, 5, count), rng.uniform(0, 2 * np.pi, count)
-    return np.vstack((p, v, q / length(q), omega, *rest))
-
-
-def commands(count: int, seed: int = 0) -> Tensor:
-    """(6, count) uniform within the actuators' limits."""
-    return tensor(np.random.default_rng(seed).uniform(-1, 1, (6, count))) * LIMIT
-
-
 X = tensor(near_the_limits(1000))
 U = commands(1000)
-
-
-@cache
-def way(name: str, checked: bool = True) -> SafetyFilter:
-    """The filter in one of WAYS; not checked: the paper's, whose answer is its program's."""
-    made = SafetyFilter(C, R if checked else RtaParameters(filter="paper"))
-    if name == "C":
-        try:
-            compiler()
-        except NoCompilerError:
-            pytest.skip("no C compiler")
-        return in_c(batched(made))
-    return batched(made) if name == "batched" else made
 
 
 def quick(safety_filter: SafetyFilter) -> SafetyFilter:

@@ -1,13 +1,16 @@
 """States near limits and controls behind the filter of one second, and a second of flight by the paper's equations."""
 
 import math
+from functools import cache
 
 import numpy as np
+import pytest
 from numpy import ndarray
 from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
-from rta.fast.filter import batched
+from kernels.build import NoCompilerError, compiler
+from rta.fast.filter import batched, in_c
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from tests.oracles import drift, length, push, speed_limit, tensor, turn
@@ -62,3 +65,16 @@ def near_the_limits(count: int, seed: int = 0) -> ndarray:
 def commands(count: int, seed: int = 0, largest: float = 1.0) -> Tensor:
     """(6, count) uniform within so many times the actuators' limits."""
     return tensor(largest * np.random.default_rng(seed).uniform(-1, 1, (6, count)) * LIMIT)
+
+
+@cache
+def way(name: str, checked: bool = True) -> SafetyFilter:
+    """The filter by PIQP ("piqp"), "batched" or in "C"; not checked: the paper's, whose answer is its program's."""
+    made = SafetyFilter(C, RtaParameters(filter="checked" if checked else "paper"))
+    if name == "C":
+        try:
+            compiler()
+        except NoCompilerError:
+            pytest.skip("no C compiler")
+        return in_c(batched(made))
+    return batched(made) if name == "batched" else made
