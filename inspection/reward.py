@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import conjugate, norm, rotate, unit
-from inspection.model.orbit import closest_pass, coast
+from inspection.model.orbit import closest_pass, free_flight
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import OMEGA, P, Q
+from inspection.model.state import OMEGA, P, Q, V
 
 PHASES = 64  # at which an orbit of free flight is looked at
 # How near a limit is near, in the unit of its h: of those that agents without a filter break; chosen
@@ -79,7 +79,7 @@ def distance_from_track(x: Tensor, c: InspectionParameters) -> Tensor:
     """
     orbit = 2.0 * math.pi / c.mean_motion
     t = torch.arange(PHASES, dtype=x.dtype, device=x.device) * (orbit / PHASES)
-    path = coast(x[:, None], t[:, None], c)
+    path = free_flight(x[P, None], x[V, None], t[:, None], c.mean_motion)
     return torch.hypot(path[0], path[2]).amin(0)
 
 

@@ -13,7 +13,7 @@ from inspection.chief.surface import directions, groups, in_view, seen_from, sur
 from inspection.chief.tumbling import RATE, Tumbling
 from inspection.model.attitude import conjugate, rotate
 from inspection.model.parameters import ChiefParameters, InspectionParameters
-from inspection.model.state import THETA_S, P
+from inspection.model.state import P
 from precision import in_full_precision
 
 ALL = slice(None)  # of the batch's columns
@@ -88,7 +88,7 @@ class Sight:
     def look(self, x: Tensor, time: Tensor) -> None:
         """Looks at every chief from states x (16, B), at the episodes' time (B,) in s."""
         if self.tumbling:
-            self.tumbling.at(time, x[THETA_S])
+            self.tumbling.at(time)
         self.update_inspected(x)
 
     def update_inspected(self, x: Tensor, columns: Tensor | slice = ALL) -> None:

@@ -94,8 +94,8 @@ class Policy(nn.Module):
 
     Every layer, the last included, ends in a tanh; without `tanh_outputs` the last one is linear, and its log-std is
     cut off at the bounds, its mean action at -1 and 1. `initial_std` is the standard deviation that the untrained
-    policy gives a zero observation; `power` and `dead_zone` shape what the environment is given, see `shaped`. Raises
-    ValueError if `initial_std` is not inside the bounds.
+    policy gives a zero observation; `power` shapes what the environment is given, see `shaped`. Raises ValueError if
+    `initial_std` is not inside the bounds.
     """
 
     def __init__(
@@ -107,13 +107,12 @@ class Policy(nn.Module):
         log_std_bounds: tuple[float, float] = (-5.0, 0.0),
         initial_std: float = 0.03,
         power: float = 1.0,
-        dead_zone: float = 0.0,
         tanh_outputs: bool = True,
     ) -> None:
         super().__init__()
         bias = log_std_bias(initial_std, log_std_bounds) if tanh_outputs else math.log(initial_std)
         self.log_std_bounds, self.tanh_outputs = log_std_bounds, tanh_outputs
-        self.power, self.dead_zone = power, dead_zone
+        self.power = power
         gains = [HIDDEN_GAIN] * len(hidden) + [POLICY_GAIN]
         self.network = StackedMLP((observation_size, *hidden, 2 * action_size), generators, gains)
         with torch.no_grad():
@@ -158,25 +157,23 @@ class Policy(nn.Module):
     @property
     def is_linear(self) -> bool:
         """Whether the environment is given the actions as they are."""
-        return self.power == 1.0 and self.dead_zone == 0.0
+        return self.power == 1.0
 
     def shaped(self, action: Tensor) -> Tensor:
-        """Return what the environment is given for actions (..., A), sign(a) (max(|a| - d, 0) / (1 - d))^k in [-1, 1].
+        """Return what the environment is given for actions (..., A), sign(a) |a|^k in [-1, 1].
 
-        With power k > 1 noise around zero costs next to nothing, and within a dead zone d nothing at all, while all of
-        an actuator remains within reach. With k = 1 and d = 0, the paper's, actions are left as they are.
+        With power k > 1 noise around zero costs next to nothing, while all of an actuator remains within reach. With
+        k = 1, the paper's, actions are left as they are.
         """
         if self.is_linear:
             return action
-        size = ((action.abs() - self.dead_zone) / (1.0 - self.dead_zone)).clamp(0.0, 1.0)
-        return action.sign() * size**self.power
+        return action.sign() * action.abs().clamp(max=1.0) ** self.power
 
     def unshaped(self, control: Tensor) -> Tensor:
         """Return the actions (..., A) that `shaped` makes the given ones of, which must be within [-1, 1]."""
         if self.is_linear:
             return control
-        size = control.abs() ** (1.0 / self.power)
-        return control.sign() * (self.dead_zone + (1.0 - self.dead_zone) * size)
+        return control.sign() * control.abs() ** (1.0 / self.power)
 
     @torch.no_grad()
     def mean_action(self, observation: Tensor) -> Tensor:

@@ -62,7 +62,6 @@ class PPOParameters(Settings):
     action_power: float = setting(
         1.0, "k of u = sign(a) |a|^k, what is commanded for an action a; 1 is the paper's", least=1, most=10
     )
-    action_dead_zone: float = setting(0.0, "size of an action below which nothing is commanded", most=0.5)
     hidden: tuple[int, ...] = setting(
         (256, 256), "widths of the hidden layers of policy and value network", above=0, most=MAX_WIDTH
     )

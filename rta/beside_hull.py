@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from inspection.chief.hull import Planes, planes_of
-from inspection.model.orbit import coast
+from inspection.model.orbit import free_flight
 from inspection.model.parameters import Limits
 from inspection.model.state import P, V
 from rta.limits import PAPER, PARTS, Limit, root
@@ -31,7 +31,7 @@ def safe_separation(x: Tensor, c: Limits) -> Tensor:
 def passive_safety(x: Tensor, c: Limits) -> Tensor:
     """inf over the free flight of the next T_f of the height above the planes, less r_d, m: (16, ...) to (...)."""
     times, planes = passes(x.detach(), c)
-    return planes.above(coast(x, times, c)).amin(0)
+    return planes.above(free_flight(x[P], x[V], times, c.mean_motion)).amin(0)
 
 
 def passes(x: Tensor, c: Limits) -> tuple[Tensor, Planes]:
@@ -47,13 +47,16 @@ def passes(x: Tensor, c: Limits) -> tuple[Tensor, Planes]:
     shape = (-1, *(1,) * (x.dim() - 1))
     start, spacing = (each.reshape(shape) for each in (edges[:-1], edges.diff() / (GRID - 1)))
 
+    def path(t: Tensor) -> Tensor:
+        return free_flight(x[P], x[V], t, c.mean_motion)
+
     def highest(t: Tensor) -> tuple[Tensor, Tensor]:
         """Height at times (PARTS, ...) above the highest plane, and which that is."""
-        return every.above(coast(x, t, c)[:, None]).max(0)
+        return every.above(path(t)[:, None]).max(0)
 
     def rise(t: Tensor, planes: Planes) -> Tensor:
         """m, of each part's plane within a tenth of a second."""
-        return planes.along(coast(x, t + 0.1, c) - coast(x, t, c))
+        return planes.along(path(t + 0.1) - path(t))
 
     grid = torch.stack([highest((start + i * spacing).expand(-1, *x.shape[1:]))[0] for i in range(GRID)])
     best = grid.argmin(0)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from inspection.model.attitude import dot, norm
 from inspection.model.dynamics import cosine_to, sun_and_earth_in_body
-from inspection.model.orbit import closest_times, coast
+from inspection.model.orbit import closest_times, free_flight
 from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, E, P, T, V
 
@@ -72,7 +72,7 @@ def passive_safety(x: Tensor, c: Limits) -> Tensor:
     edges = tuple(c.passive_safety_horizon * i / PARTS for i in range(PARTS + 1))
     # to 1e-5 m; the slope of an infimum is that of |p(t)| at its t
     t = closest_times(x.detach(), edges, c)
-    return norm(coast(x, t, c)).amin(0) - c.collision_radius
+    return norm(free_flight(x[P], x[V], t, c.mean_motion)).amin(0) - c.collision_radius
 
 
 def axial_velocity(x: Tensor, c: Limits, axis: int) -> Tensor:

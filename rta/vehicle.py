@@ -49,9 +49,9 @@ def check(c: Limits) -> None:
             f"max_torque = {c.max_torque:.3g} N m (of inertia, max_angular_acceleration and the wheels): turning at "
             f"max_rate takes up to {gyroscopic:.3g} N m against gyroscopic torque: must be at most half: lower max_rate"
         )
-    if c.max_rate <= 2 * c.fastest_orbit_rate:
+    if c.max_rate <= 2 * c.mean_motion:
         raise ValueError(
-            f"max_rate = {c.max_rate:.3g} rad/s: must exceed twice the {c.fastest_orbit_rate:.3g} rad/s of the Sun in "
+            f"max_rate = {c.max_rate:.3g} rad/s: must exceed twice the {c.mean_motion:.3g} rad/s of the Sun in "
             "Hill's frame, to keep the camera out of it"
         )
     full = torch.ones((), dtype=torch.float64)

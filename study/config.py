@@ -15,16 +15,17 @@ from rta.names import CONSTRAINTS
 from rta.parameters import RtaParameters
 from settings import Settings, from_toml, override, setting
 
-# keys of [rta] and [uncertainty] that filters before had, and that their runs recorded
+# keys that a run of an earlier version recorded
 RETIRED = re.compile(
     r"rows|(collision|speed|keep_in|passive_safety|velocity|rate)_gain|(exclusion|temperature|battery)_gains"
     r"|(collision|keep_in|passive_safety|exclusion|temperature|battery|rate)_margin"
     r"|passive_safety_(doubling|segments)|incidence_rounding|distance_floor|pole_angle"
     r"|slack_weight_(critical|resource|motion)|health|saturates_rates"
+    r"|orbit|eccentricity|sun_from_perigee|gravitational_parameter|action_dead_zone"
 )
 RETIRED_LINE = re.compile(rf"(?m)^(rta\.)?({RETIRED.pattern}) = .*\n")
 MAX_COUNT = 10**12
-LEARN_FROM = ("desired", "applied", "penalty")
+LEARN_FROM = ("desired", "applied")
 MAX_SEEDS = 1000  # of a study; they share the memory
 Tables = dict[str, dict[str, Any]]
 # The paper's arms: by name, in what an arm of a study differs from the study's own tables. More are in a file's [arms].
@@ -73,8 +74,7 @@ class TrainParameters(Settings):
     teacher: str = setting(GUIDE, "the guidance of the jump start", among=tuple(GUIDANCE))
     learn_from: str = setting(
         "desired",
-        "behind the filter (the action that the agent desired, what the filter applied in its place, or the former "
-        "with a price on corrections)",
+        "behind the filter (the action that the agent desired, or what the filter applied in its place)",
         among=LEARN_FROM,
     )
     keep_clear: bool = setting(

@@ -17,7 +17,6 @@ from inspection.closed_loop import Safety
 from inspection.environment import Compiler, InspectionEnv, clocks_of
 from inspection.initial_state import InitialStates
 from inspection.model.draws import uniform
-from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE
 from inspection.observation import components
 from inspection.privileged import PRIVILEGED
@@ -40,9 +39,6 @@ EPISODE = 3600  # s, about as long as an agent takes
 # what "free_flight" in `observed` depends on
 OF_FREE_FLIGHT = ("passive_safety_horizon", "free_flight_horizon", "deputy_radius", "chief_radius")
 
-PENALTY = (
-    -0.003
-)  # [inspection] correction_reward that "penalty" comes with; that of study.toml and from_nothing.toml
 LARGEST_WEIGHT = 1e3  # of a policy; training leaves weights of 2 at most
 
 
@@ -65,7 +61,7 @@ class Experiment:
 
     Attributes:
         config: with the solver that is used; device; filter.
-        task: `with_correction_price`, with the chief's hull where it is that to stay clear of.
+        task: `[inspection]`, with the chief's hull where it is that to stay clear of.
         safety: constraints, admissible starts and, if the configuration wants it, the filter.
         filter_compiled, compiled: the filter is compiled; simulator and learner are to be.
 
@@ -85,7 +81,7 @@ class Experiment:
         self.filter_compiled = config.train.rta and wants_compile(choice, calls, WORTH_COMPILING_FILTER)
         self.config = settled(config)
         self.compiled = wants_compile(choice, steps)
-        self.task = with_hull(with_correction_price(config), config.chief)
+        self.task = with_hull(config.inspection, config.chief)
         self.filter = filter_of(self.config)
         with as_input_error("[plant] and [inspection]", ValueError):
             config.plant.check_body(config.inspection)
@@ -277,13 +273,6 @@ def check_clocks(
         clocks_of(c, period, decide_every, report_every).count(duration or c.action_period)
 
 
-def with_correction_price(config: Config) -> InspectionParameters:
-    """The task with a price on corrections where the agent is to learn from one and none is set."""
-    c = config.inspection
-    wanted = config.train.learn_from == "penalty" and not c.correction_reward
-    return replace(c, correction_reward=PENALTY) if wanted else c
-
-
 def check_plant(config: Config) -> None:
     """Refuses what the simulator does not have, and Basilisk where it is not installed."""
     with as_input_error("[plant]", ValueError):
@@ -333,7 +322,6 @@ def make_policy(config: Config, generators: Sequence[torch.Generator]) -> Policy
         ppo.log_std_bounds,
         ppo.initial_std,
         ppo.action_power,
-        ppo.action_dead_zone,
         ppo.tanh_outputs,
     )
 

@@ -26,8 +26,7 @@ LIMITS = "limits of your own"
 GAINS = "rta/limits.py"  # which are no settings
 # Settings that came later: at their defaults they are what was flown before, and its fingerprint stays.
 LATER = {
-    *(f"[inspection] {key}" for key in ("orbit", "eccentricity", "sun_from_perigee", "hill_rotation")),
-    "[inspection] gravitational_parameter",
+    "[inspection] hill_rotation",
     "[rta] unverified",
     "[rta] filter",
     LIMITS,

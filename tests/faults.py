@@ -660,7 +660,7 @@ LEARNER = [
         ("low + (high - low) * 0.5 * (1.0 + level)", "low + (high - low) * (1.0 + level)"),
         ("(action - mean) * torch.exp(-log_std)", "(action - mean) * torch.exp(log_std)"),
         ("log_std + 0.5 * (1.0 + math.log(2.0 * math.pi))", "log_std + 0.5 * math.log(2.0 * math.pi)"),
-        ("(action.abs() - self.dead_zone) / (1.0 - self.dead_zone)", "(action.abs() - self.dead_zone)"),
+        ("action.abs().clamp(max=1.0) ** self.power", "action.abs() ** self.power"),
     ),
     *faults(
         "ppo/rollout.py",

@@ -9,7 +9,6 @@ from torch import Tensor
 from inspection.model.attitude import quaternion_rate, rate_in_hill, unit
 from inspection.model.draws import counter_based_uniform, isotropic, key_of, shoemake
 from inspection.model.dynamics import euler
-from inspection.model.orbit import orbit_rate, sun_angle_after
 from inspection.model.parameters import ChiefParameters, Model
 from inspection.model.rk4 import rk4_step
 
@@ -49,7 +48,7 @@ class Tumbling:
         p, c = self.parameters, self.c
         given = math.radians(max(p.largest_rate, math.hypot(*p.rate)))
         own = given * math.sqrt(max(p.moments) / min(p.moments))
-        return own + (c.fastest_orbit_rate if p.turns and c.hill_rotation else 0.0)
+        return own + (c.mean_motion if p.turns and c.hill_rotation else 0.0)
 
     @property
     def attitude(self) -> Tensor:
@@ -73,22 +72,21 @@ class Tumbling:
                 motion[RATE, columns] = math.radians(p.largest_rate) * draws[3] * isotropic(draws[4:6])
         self.motion = motion
 
-    def at(self, time: Tensor, theta_s: Tensor) -> None:
-        """Turns all chiefs on to the episodes' time (B,) in s; theta_s (B,) as in the deputies' states."""
-        self.motion = self.moved(self.motion, time, theta_s)
+    def at(self, time: Tensor) -> None:
+        """Turns all chiefs on to the episodes' time (B,) in s."""
+        self.motion = self.moved(self.motion, time)
 
-    def moved(self, motion: Tensor, time: Tensor, theta_s: Tensor) -> Tensor:
+    def moved(self, motion: Tensor, time: Tensor) -> Tensor:
         """A motion (8, B) at another time (B,) in s; what is not given a rate stays as it is in Hill's frame."""
         seconds = time - motion[TIME]
         steps = math.ceil(float(seconds.abs().max()) * self.fastest / ANGLE)
-        middle = sun_angle_after(theta_s, -seconds / 2, self.c)  # where Hill's frame turns as in the mean
-        turns = orbit_rate(middle, self.c) if self.c.hill_rotation else None
+        turns = self.c.mean_motion if self.c.hill_rotation else None
         y = motion[: RATE.stop]
         for _ in range(steps):
             y = self.step(y, seconds / steps, turns)
         return torch.cat((y, time[None]))
 
-    def step(self, y: Tensor, seconds: Tensor, turns: Tensor | float | None) -> Tensor:
+    def step(self, y: Tensor, seconds: Tensor, turns: float | None) -> Tensor:
         """One RK4 step of attitude and rates (7, B)."""
 
         def rate(y: Sequence[Tensor]) -> tuple[Tensor, ...]:

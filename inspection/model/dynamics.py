@@ -17,7 +17,7 @@ from inspection.model.attitude import (
     rotation_matrix,
     unit,
 )
-from inspection.model.orbit import natural_acceleration, orbit_rate
+from inspection.model.orbit import clohessy_wiltshire
 from inspection.model.parameters import AXES, Limits
 from inspection.model.rk4 import rk4_step
 from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, THRUST, TORQUE, P, Q, T, V
@@ -73,7 +73,7 @@ def most_gyroscopic(inertia: Any) -> float:
 
 def attitude_rate(x: Components, turns: bool, c: Limits) -> tuple[Tensor, ...]:
     """The components of dq/dt, from those of x; `turns`: omega is relative to the stars, not to Hill's frame."""
-    omega = rate_in_hill(x[Q], x[OMEGA], orbit_rate(x[THETA_S], c)) if turns else x[OMEGA]
+    omega = rate_in_hill(x[Q], x[OMEGA], c.mean_motion) if turns else x[OMEGA]
     return quaternion_rate(x[Q], omega)
 
 
@@ -112,14 +112,14 @@ def resource_rates(x: Components, c: Limits) -> tuple[Tensor, Tensor]:
 
 def natural_rates(x: Components, c: Limits) -> list[Tensor]:
     """f(x), the 16 components of the state (...) to their rates in the state's units per second."""
-    p, v, omega, theta_s = x[P], x[V], x[OMEGA], x[THETA_S]
+    p, v, omega = x[P], x[V], x[OMEGA]
     return [
         *v,
-        *natural_acceleration(p, v, theta_s, c),
+        *clohessy_wiltshire(p, v, c.mean_motion),
         *attitude_rate(x, c.hill_rotation, c),
         *euler(omega, c.inertia),
         *resource_rates(x, c),
-        -orbit_rate(theta_s, c),
+        torch.full_like(x[THETA_S], -c.mean_motion),
     ]
 
 

@@ -9,11 +9,7 @@ from dataclasses import dataclass
 
 from settings import Settings, setting
 
-ORBITS = ("clohessy-wiltshire", "two-body")
 SLOWEST_ORBIT = 1e-12  # rad/s; that slow, nothing turns
-MOST_ECCENTRIC = (
-    0.3  # beyond, Kepler's equation may not converge in the steps that `inspection.model.orbit` takes
-)
 ALIGNED = (0.0, 0.0, 0.0, 1.0)  # an attitude: the axes of one frame are those of the other
 FASTEST_CHIEF = 10.0  # deg/s; an action takes 10 s
 MOST_UNEQUAL = 1000.0  # moments of a chief, which may come to turn faster by the root of that
@@ -38,14 +34,6 @@ class Model(Settings):
         least=SLOWEST_ORBIT,
         note="Orbit and translation (Sec. Dynamics, Translational Motion)",
     )
-    orbit: str = setting(
-        "clohessy-wiltshire", "gravity (linear around a circular orbit, or exact)", among=ORBITS
-    )
-    eccentricity: float = setting(0.0, "of the chief's orbit, which two-body may have", most=MOST_ECCENTRIC)
-    sun_from_perigee: float = setting(
-        0.0, "rad, from the perigee of that orbit along it to the Sun", least=None
-    )
-    gravitational_parameter: float = setting(3.986004418e14, "m^3/s^2, of the Earth, for two-body", above=0)
     mass: float = setting(12.0, "kg, of the deputy", above=0)
     max_thrust: float = setting(1.0, "N, per body axis", above=0)
 
@@ -96,8 +84,6 @@ class Model(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.eccentricity and self.orbit != "two-body":
-            raise ValueError(f'eccentricity = {self.eccentricity!r}: needs orbit = "two-body"')
         rounding = 1 + 1e-9  # of a flat plate, whose largest moment is that sum
         if 2 * max(self.inertia) > rounding * sum(self.inertia):
             raise ValueError(
@@ -118,37 +104,12 @@ class Model(Settings):
         return (self.max_thrust,) * 3 + (self.max_torque,) * 3
 
     def largest_drift(self, distance: float, speed: float) -> float:
-        """Largest natural acceleration in m/s^2 within a distance in m from the chief and at most a speed in m/s.
+        """Returns the largest natural acceleration in m/s^2 within a distance in m of the chief, up to a speed in m/s.
 
-        Of the tide 2 mu / r^3, the centrifugal w^2, the quickening w' = -2 e sin(f) mu / r^3 and Coriolis' 2 w, each
-        where it is largest, at perigee; on a circle these are 3 n^2 and 2 n. What the exact tide has beyond the linear
-        one, mu / r^2 sum (k + 1) (d / r)^k over k >= 2, is at most 3 mu / r^3 d^2 / (r - 3 d).
+        The tide is 3 n^2 per m at most, Coriolis' acceleration 2 n per m/s.
         """
-        e, n = self.eccentricity, self.mean_motion
-        if self.orbit == "clohessy-wiltshire":
-            return 3 * n**2 * distance + 2 * n * speed
-        perigee = self.semi_major_axis * (1 - e)
-        tide = self.gravitational_parameter / perigee**3
-        quickening = 2 * e * tide  # (mu / r^3) 2 e sin f, at most
-        beyond = 3 * tide * distance / (perigee - 3 * distance)
-        rate = self.fastest_orbit_rate
-        return (2 * tide + rate**2 + quickening + beyond) * distance + 2 * rate * speed
-
-    @property
-    def fastest_orbit_rate(self) -> float:
-        """Of Hill's frame in rad/s, at perigee."""
-        e = self.eccentricity
-        return self.mean_motion * ((1 + e) / (1 - e) ** 3) ** 0.5
-
-    @property
-    def is_circular(self) -> bool:
-        """Whether Hill's frame turns at the mean motion."""
-        return self.eccentricity == 0.0
-
-    @property
-    def semi_major_axis(self) -> float:
-        """Of the chief's orbit in m, by Kepler's third law."""
-        return (self.gravitational_parameter / self.mean_motion**2) ** (1 / 3)
+        n = self.mean_motion
+        return 3 * n**2 * distance + 2 * n * speed
 
 
 @dataclass(frozen=True)

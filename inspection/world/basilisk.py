@@ -15,13 +15,12 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from inspection.model.dynamics import resource_rates
-from inspection.model.orbit import chief_at
 from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, THETA_S, THRUST, TORQUE, E, P, Q, T, V
 from inspection.world.parameters import PlantParameters
 from inspection.world.plant import Plant
 
-EARTH_RADIUS, EARTH_J2 = 6378136.3, 1.08262668e-3  # m and no unit, of the gravity model EGM96
+EARTH_MU, EARTH_RADIUS, EARTH_J2 = 3.986004418e14, 6378136.3, 1.08262668e-3  # m^3/s^2, m, no unit: EGM96
 INCLINATION = math.radians(51.6)  # of the chief's orbit, which J2 depends on; the node is where the Sun is
 
 # The air at 800 km (Vallado 2013, Table 8-4): density in kg/m^3, and height in m by which it falls by e
@@ -75,7 +74,7 @@ class Simulation:
 
         earth = gravityEffector.GravBodyData()
         earth.planetName, earth.isCentralBody = "earth_planet_data", True
-        earth.mu, earth.radEquator = self.c.gravitational_parameter, EARTH_RADIUS
+        earth.mu, earth.radEquator = EARTH_MU, EARTH_RADIUS
         if self.parameters.j2:
             model = gravityEffector.SphericalHarmonicsGravityModel()
             model.maxDeg, model.muBody, model.radEquator = 2, earth.mu, EARTH_RADIUS
@@ -237,14 +236,13 @@ class BasiliskPlant(Plant):
 
     def __init__(self, parameters: PlantParameters, c: Limits, batch: int, device: Any) -> None:
         super().__init__(parameters, c, batch, device)
-        lowest = (1.0 - c.eccentricity) * c.semi_major_axis
-        if lowest <= EARTH_RADIUS:
+        radius = orbit_radius(c)
+        if radius <= EARTH_RADIUS:
             raise ValueError(
-                f"mean_motion = {c.mean_motion:g}, eccentricity = {c.eccentricity:g}: bring the chief down to "
-                f"{lowest / 1e3:,.0f} km from the Earth's centre: must stay above its radius, "
-                f"{EARTH_RADIUS / 1e3:,.0f} km"
+                f"mean_motion = {c.mean_motion:g}: puts the chief {radius / 1e3:,.0f} km from the Earth's centre: must "
+                f"stay above its radius, {EARTH_RADIUS / 1e3:,.0f} km"
             )
-        self.flattening = parameters.j2 * EARTH_J2 * c.gravitational_parameter * EARTH_RADIUS**2
+        self.flattening = parameters.j2 * EARTH_J2 * EARTH_MU * EARTH_RADIUS**2
         self.chief = torch.zeros(6, batch, dtype=torch.float64, device=device)
         self.wheels = torch.zeros(3, batch, dtype=torch.float64, device=device)
         self.rates = torch.zeros(2, batch, dtype=torch.float64, device=device)
@@ -380,12 +378,16 @@ def crossed(a: ndarray, b: ndarray) -> ndarray:
     return np.stack((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
 
 
+def orbit_radius(c: Limits) -> float:
+    """Returns the radius of the chief's orbit in m, by Kepler's third law."""
+    return (EARTH_MU / c.mean_motion**2) ** (1 / 3)
+
+
 def chief_in_space(theta_s: Tensor, c: Limits) -> ndarray:
     """The chief's position and velocity (6, k) where the Sun's angle (k,) has it: the Sun is along the inertial x."""
-    chief = chief_at(theta_s, c)
-    radius, climb, rate = (part.cpu().numpy() for part in (chief.radius, chief.climb, chief.rate))
+    radius = np.full(len(theta_s), orbit_radius(c))
     zero = 0.0 * radius
     angles = np.stack((-theta_s.cpu().numpy(), np.full_like(zero, INCLINATION)), 1)
     axes = Rotation.from_euler("zx", angles)  # first along the orbit, then with its plane
     r = axes.apply(np.stack((radius, zero, zero), 1))
-    return np.concatenate((r, axes.apply(np.stack((climb, radius * rate, zero), 1))), 1).T
+    return np.concatenate((r, axes.apply(np.stack((zero, radius * c.mean_motion, zero), 1))), 1).T

@@ -16,9 +16,8 @@ from inspection.fixed import Fixed
 from inspection.model.attitude import rate_in_hill
 from inspection.model.draws import counter_based_uniform, isotropic, key_of
 from inspection.model.dynamics import Body, integrate, step
-from inspection.model.orbit import orbit_rate
 from inspection.model.parameters import Limits
-from inspection.model.state import CONTROL_SIZE, CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, Q
+from inspection.model.state import CONTROL_SIZE, CONTROLS, OMEGA, SIZE, THRUST, TORQUE, Q
 from inspection.world.corners import (
     BEFORE,
     CORNER,
@@ -289,12 +288,12 @@ class Plant(Fixed):
             error = self.drawn.bias + self.drawn.noise * noise
         seen = displaced(x, error)
         if self.turns and not self.c.hill_rotation:  # which the model does not know
-            turns, attitude = orbit_rate(x[THETA_S], self.c), seen[Q]
+            attitude = seen[Q]
             if (
                 self.at_corner
             ):  # the error of what is seen is at its bound, not beyond by that of the attitude
                 attitude = x[Q]
-            seen[OMEGA] = torch.stack(rate_in_hill(attitude, seen[OMEGA], turns))
+            seen[OMEGA] = torch.stack(rate_in_hill(attitude, seen[OMEGA], self.c.mean_motion))
         return seen
 
     def _ends(self, time: Tensor, x: Tensor) -> Tensor:

@@ -135,8 +135,8 @@ class Uncertainty(Settings):
         return math.hypot(*worst) + self.unknown_turning(c) * math.sqrt(3.0) * c.max_rate
 
     def unknown_turning(self, c: Limits) -> float:
-        """rad/s, of Hill's frame at perigee, where the model leaves it out."""
-        return c.fastest_orbit_rate if self.hill_rotation and not c.hill_rotation else 0.0
+        """rad/s, of Hill's frame, where the model leaves it out."""
+        return c.mean_motion if self.hill_rotation and not c.hill_rotation else 0.0
 
     @property
     def is_quantised(self) -> bool:

@@ -47,13 +47,13 @@ class Pointing:
         gyroscopic = math.hypot(*euler((c.max_rate,) * 3, c.inertia))
         alpha = c.max_torque / max(c.inertia) - gyroscopic
         over = overshoot(c, hold)
-        rate = min(c.max_rate - 1.05 * c.fastest_orbit_rate - over, FARTHEST / hold)
+        rate = min(c.max_rate - 1.05 * c.mean_motion - over, FARTHEST / hold)
         return cls(c, hold, rate, min(rate, 0.12 / hold), min(alpha / (2 * rate), PER_HOLD / hold), over)
 
     @property
     def fastest(self) -> float:
         """rad/s, at which the law has a body turn at most, two axes pointing it and one rolling."""
-        return math.hypot(self.rate, self.rate, self.roll) + self.c.fastest_orbit_rate
+        return math.hypot(self.rate, self.rate, self.roll) + self.c.mean_motion
 
 
 def overshoot(c: Limits, hold: float) -> float:

@@ -134,8 +134,8 @@ def attitude_between(start: Tensor, end: Tensor, u: Tensor, t: float, w: Flight)
     """
     c = w.c
     fast = peak(start, u, t, w)
-    turn = fast + c.fastest_orbit_rate
-    faster = norm(angular(u, c)) + w.spin * fast**2 + c.fastest_orbit_rate * turn
+    turn = fast + c.mean_motion
+    faster = norm(angular(u, c)) + w.spin * fast**2 + c.mean_motion * turn
     angle, temperature, energy = [], [], []
     for x in (start, end):
         sun, earth = sun_and_earth_in_body(x)

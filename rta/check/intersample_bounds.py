@@ -28,7 +28,7 @@ from torch import Tensor
 
 from inspection.chief.hull import planes_of
 from inspection.model.attitude import dot, norm, unit
-from inspection.model.orbit import coast, free_flight, share
+from inspection.model.orbit import free_flight, share
 from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, P, V
 
@@ -68,7 +68,7 @@ class FreeFlight:
         for i in range(6):
             x = torch.zeros(SIZE, 1, dtype=torch.float64)
             x[i] = 1.0
-            columns.append(coast(x, t[:, None], c)[..., 0].T)  # (times, 3)
+            columns.append(free_flight(x[P], x[V], t[:, None], n)[..., 0].T)  # (times, 3)
         of_p, of_v = torch.stack(columns[:3], -1), torch.stack(columns[3:], -1)
         s, co, zero = (n * t).sin(), (n * t).cos(), torch.zeros_like(t)
 
@@ -171,7 +171,7 @@ def clearance(
 ) -> Tensor:
     """The least clearance in m of all free flights that begin between two nodes, over the horizon: (...)."""
     cell, times = free.times(start, c)
-    corners = [flown(y, t, c) for y in (start, end) for t in times]
+    corners = [free_flight(y[P], y[V], t, c.mean_motion) for y in (start, end) for t in times]
     nearest = nearer(corners[0] + corners[2], corners[1] + corners[3]) / 2
     beyond, radius = torch.full_like(nearest[0], -math.inf), c.collision_radius
     if c.planes:
@@ -184,11 +184,6 @@ def clearance(
     beyond = beyond - free.velocity * times[1] * e_v
     bend = (free.bend_position * (farthest + e_p) + free.bend_velocity * (fastest + e_v)) * cell**2 / 8
     return beyond.amin(0) - radius - free.position * e_p - bend
-
-
-def flown(y: Tensor, t: Tensor, c: Limits) -> Tensor:
-    """Positions (3, cells, ...) after free flight from nodes (6, ...) for t s, (cells, 1, ...)."""
-    return coast(torch.cat((y, y.new_zeros(SIZE - 6, *y.shape[1:]))), t, c)
 
 
 def nearer(first: Tensor, last: Tensor) -> Tensor:

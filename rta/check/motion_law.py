@@ -22,10 +22,10 @@ from torch import Tensor
 
 from inspection.model.attitude import dot, norm, quaternion_rate, rotation_matrix, unit
 from inspection.model.dynamics import euler
-from inspection.model.orbit import natural_acceleration, sun_angle_after
+from inspection.model.orbit import clohessy_wiltshire
 from inspection.model.parameters import Limits
 from inspection.model.rk4 import rk4_step
-from inspection.model.state import OMEGA, THETA_S, P, Q, V
+from inspection.model.state import OMEGA, P, Q, V
 
 INSIDE = 1.0  # m, of the zone, where a straight path ends at the farthest
 SPARE = 0.997  # of thrust, used along the zone; the rest is for the change of f along the path, 2 n a T / 2
@@ -81,18 +81,17 @@ def field(p: Tensor, c: Limits) -> Tensor:
     return (out + deep - back - far) / r * p
 
 
-def planned(p: Tensor, v: Tensor, theta_s: Tensor, w: Braking) -> Tensor:
-    """The law: G (3, ...) in m/s^2 in Hill's frame, at positions and velocities (3, ...) and the Sun's angle."""
+def planned(p: Tensor, v: Tensor, w: Braking) -> Tensor:
+    """The law: G (3, ...) in m/s^2 in Hill's frame, at positions and velocities (3, ...)."""
     c, t = w.c, w.hold
     off = v - field(p, c)
     speed_error = norm(off)
     straight = -off / speed_error.clamp(min=1e-30) * (speed_error / t).clamp(max=w.straight)
     middle = p + t / 2 * v
-    theta = sun_angle_after(theta_s, t / 2, c)
 
     def natural(acceleration: Tensor) -> Tensor:
         p_m, v_m = middle + t**2 / 8 * acceleration, v + t / 2 * acceleration
-        return torch.stack(natural_acceleration(p_m.unbind(), v_m.unbind(), theta, c))
+        return torch.stack(clohessy_wiltshire(p_m.unbind(), v_m.unbind(), c.mean_motion))
 
     speed, distance = norm(v), norm(middle)
     direction = v / speed.clamp(min=1e-30)
@@ -121,7 +120,7 @@ def planned(p: Tensor, v: Tensor, theta_s: Tensor, w: Braking) -> Tensor:
 
 def brake(x: Tensor, torque: Tensor, w: Braking) -> Tensor:
     """The law as thrust (3, B) in N, in the body, at states (16, B) while torque (3, B) is held."""
-    return thrust_along(planned(x[P], x[V], x[THETA_S], w), x, torque, w)
+    return thrust_along(planned(x[P], x[V], w), x, torque, w)
 
 
 def thrust_along(acceleration: Tensor, x: Tensor, torque: Tensor, w: Braking) -> Tensor:

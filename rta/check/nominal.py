@@ -56,8 +56,8 @@ class NominalCheck(Check):
     knows = True, True
 
     def __init__(self, c: Limits, period: float) -> None:
-        if c.orbit != "clohessy-wiltshire" or c.hill_rotation:
-            raise NoCheckError("the chief's orbit must be a circle, in a frame whose turning is left out")
+        if c.hill_rotation:
+            raise NoCheckError("the turning of Hill's frame must be left out (hill_rotation = false)")
         if not has_rest(c):
             raise NoCheckError(
                 "there is no attitude of rest: panels must be on -x, the thermal side across them"

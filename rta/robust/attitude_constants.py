@@ -99,7 +99,7 @@ class AttitudeConstants:
         lag = uncertainty.latency * period
         hold_periods = math.ceil(uncertainty.hold(period) / period - 1e-9)
         least, most = uncertainty.torque
-        n = c.fastest_orbit_rate
+        n = c.mean_motion
         strongest = c.max_torque / max(c.inertia) - max(
             abs(each) for each in euler((c.max_rate,) * 3, c.inertia)
         )

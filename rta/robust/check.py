@@ -136,9 +136,9 @@ def made(make: Callable[..., T], *given: Any) -> tuple[T | None, str]:
 
 
 def terminal_set_of(c: Limits, period: float, uncertainty: Uncertainty) -> RobustTerminalSet:
-    """Raises NoCheckError where the bounds leave no invariant set, on an ellipse and beside a hull."""
-    if c.orbit != "clohessy-wiltshire" or c.hill_rotation:
-        raise NoCheckError("the chief's orbit must be a circle, in a frame whose turning is left out")
+    """Raises NoCheckError where the bounds leave no invariant set, and beside a hull."""
+    if c.hill_rotation:
+        raise NoCheckError("the turning of Hill's frame must be left out (hill_rotation = false)")
     if c.planes:
         raise NoCheckError("beside a hull no invariant set is known")
     return RobustTerminalSet.of(c, period, uncertainty)
@@ -146,8 +146,8 @@ def terminal_set_of(c: Limits, period: float, uncertainty: Uncertainty) -> Robus
 
 def attitude_constants_of(c: Limits, period: float, uncertainty: Uncertainty) -> AttitudeConstants:
     """Raises NoCheckError without a backup trajectory to rest within the bounds, or of this vehicle."""
-    if not c.is_circular or c.hill_rotation:
-        raise NoCheckError("the chief's orbit must be a circle, in a frame whose turning is left out")
+    if c.hill_rotation:
+        raise NoCheckError("the turning of Hill's frame must be left out (hill_rotation = false)")
     if not has_rest(c):
         raise NoCheckError("there is no attitude of rest: panels must be on -x, the thermal side across them")
     return AttitudeConstants.of(c, period, uncertainty)

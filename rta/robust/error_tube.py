@@ -19,8 +19,9 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import dot, norm, unit
+from inspection.model.orbit import free_flight
 from inspection.model.state import P, V
-from rta.check.intersample_bounds import NEAREST, NEVER, flown, lowest, nearer
+from rta.check.intersample_bounds import NEAREST, NEVER, lowest, nearer
 from rta.robust.terminal_set import Errors, RobustTerminalSet
 
 CHORDS, DENSER = 7, 2.0  # of a backup trajectory; the power of evenly spaced numbers that S is at their ends
@@ -274,7 +275,7 @@ def clearance(ends: Sequence[Node], farthest: Tensor, fastest: Tensor, w: Robust
     corners = []
     for e in ends:
         lost = free.position * across(e.along, e.aside) + free.velocity * times[1] * e.velocity
-        corners += [(flown(e.y, t, c), lost) for t in times]
+        corners += [(free_flight(e.y[P], e.y[V], t, c.mean_motion), lost) for t in times]
     nearest = nearer(corners[0][0] + corners[2][0], corners[1][0] + corners[3][0]) / 2
     beyond = torch.full_like(nearest[0], -math.inf)
     for _ in range(1 + free.searches):

@@ -30,9 +30,9 @@ from torch import Tensor
 
 from inspection.model.attitude import norm, rotation_matrix
 from inspection.model.dynamics import euler, step
-from inspection.model.orbit import natural_acceleration
+from inspection.model.orbit import clohessy_wiltshire
 from inspection.model.parameters import Limits
-from inspection.model.state import THETA_S, P, Q, V
+from inspection.model.state import P, Q, V
 from inspection.world.uncertainty import Uncertainty
 from rta.check.commit import NoCheckError
 from rta.check.intersample_bounds import FreeFlight, least_stretch
@@ -422,7 +422,7 @@ def law(x: Tensor, w: RobustTerminalSet) -> Tensor:
     """G (3, B) in m/s^2 in Hill's frame, at states (16, B) as they are taken for."""
     off = x[V] - w.field(x[P])
     wanted = -off * (w.full / norm(off).clamp(min=1e-30)).clamp(max=1.0 / w.slow)
-    return wanted - torch.stack(natural_acceleration(x[P].unbind(), x[V].unbind(), x[THETA_S], w.c))
+    return wanted - torch.stack(clohessy_wiltshire(x[P].unbind(), x[V].unbind(), w.c.mean_motion))
 
 
 def thrust(x: Tensor, torque: Tensor, w: RobustTerminalSet) -> Tensor:

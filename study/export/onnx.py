@@ -56,14 +56,10 @@ def to_onnx(policy: Policy, c: InspectionParameters, chief: ChiefParameters) -> 
 
 def shaping(policy: Policy) -> tuple[list[NodeProto], list[TensorProto]]:
     """The nodes from "action" to "control" and their constants, as `Policy.shaped`."""
-    d = policy.dead_zone
-    values = {"offset": d, "slope": 1.0 / (1.0 - d), "power": policy.power, "zero": 0.0}
+    values = {"power": policy.power}
     steps = [
         ("Abs", ["action"], "size"),
-        ("Sub", ["size", "offset"], "beyond"),
-        ("Mul", ["beyond", "slope"], "raised"),
-        ("Max", ["raised", "zero"], "positive"),
-        ("Pow", ["positive", "power"], "shape"),
+        ("Pow", ["size", "power"], "shape"),
         ("Sign", ["action"], "sign"),
         ("Mul", ["sign", "shape"], "control"),
     ]

@@ -128,10 +128,10 @@ void policy_observe(const double state[16], const double priority[3], const doub
 
 /* What is decided. */
 
-/* What is commanded for an action: sign(a) (max(|a| - d, 0) / (1 - d))^k, which is within [-1, 1]. */
+/* What is commanded for an action: sign(a) |a|^k, which is within [-1, 1]. */
 static double shaped(double action)
 {
-    const double size = pow(fmax(fabs(action) - DEAD_ZONE, 0.0) / (1.0 - DEAD_ZONE), POWER);
+    const double size = pow(fabs(action), POWER);
 
     return (action < 0.0) ? -size : size;
 }

@@ -104,7 +104,6 @@ def sources(policy: Policy, config: Config, digest: str) -> dict[str, str]:
         define("WIDEST", f"{max(sizes)}U"),
         define("TANH_OUTPUTS", int(policy.tanh_outputs), "of the last layer, too"),
         define("POWER", float(policy.power)),
-        define("DEAD_ZONE", float(policy.dead_zone)),
         table("size_t SIZE[LAYERS + 1U]", sizes, "from the observation to the control"),
         wrapped("double SCALE[POLICY_OBSERVATIONS]", [each.scale for each in observed]),
         wrapped("double LIMIT[POLICY_CONTROLS]", [float(limit) for limit in c.control_limit]),

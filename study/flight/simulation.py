@@ -13,7 +13,7 @@ from inspection.chief.tumbling import ATTITUDE
 from inspection.closed_loop import Controller, Hold, is_multiple
 from inspection.environment import InspectionEnv
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import THETA_S, THRUST, TORQUE, P
+from inspection.model.state import THRUST, TORQUE, P
 from inspection.termination import failures
 from inspection.transition import METRICS, Transition
 from ppo.network import Policy
@@ -114,7 +114,7 @@ class Recording(Observer):
             }
         )
         if self.tumbling:
-            motion = self.tumbling.moved(self.motion, self.rows[-1]["time"], x[THETA_S, :1])
+            motion = self.tumbling.moved(self.motion, self.rows[-1]["time"])
             self.rows[-1]["chief_attitude"] = motion[ATTITUDE, 0]
 
     def arrays(self) -> dict[str, np.ndarray]:

@@ -19,7 +19,7 @@ from rta.parameters import PERIODS
 from settings import load
 from study.config import BASELINES, GUIDE, TEST_CASES, Config
 from study.errors import MALFORMED, as_input_error
-from study.experiment import Experiment, test_cases, with_correction_price
+from study.experiment import Experiment, test_cases
 from study.files import ROOT, load_arrays
 from study.flight.controllers import agent, classical
 from study.flight.evaluation import Episodes, common_episode, play, play_controller, report
@@ -136,9 +136,9 @@ def side_by_side(arms: dict[str, Arm]) -> list[list[str]]:
         config = with_rta(arm.config, True, FILTER_PERIOD).with_solver("auto")
         train, ppo = config.train, config.ppo
         needs = (
-            *(with_correction_price(config), config.rta, config.chief, len(arm.digests)),
+            *(config.inspection, config.rta, config.chief, len(arm.digests)),
             *(train.device, train.compile, train.final_episodes),
-            *(ppo.hidden, ppo.log_std_bounds, ppo.tanh_outputs, ppo.action_power, ppo.action_dead_zone),
+            *(ppo.hidden, ppo.log_std_bounds, ppo.tanh_outputs, ppo.action_power),
         )
         group = next((names for others, names in groups if others == needs), None)
         if group is None:

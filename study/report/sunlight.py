@@ -10,7 +10,6 @@ from inspection.chief.surface import light, surface
 from inspection.chief.tumbling import Tumbling
 from inspection.model.attitude import conjugate, rotate
 from inspection.model.dynamics import sun_direction
-from inspection.model.orbit import sun_angle_after
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.model.state import THETA_S
 from study.config import Config
@@ -41,8 +40,8 @@ def earliest_success(
     for step in range(round(c.max_time / c.action_period) + 1):
         time = step * c.action_period
         if step:
-            angle = sun_angle_after(angle, c.action_period, c)
-        tumbling.at(torch.full_like(theta_s, time), angle)
+            angle = angle - c.mean_motion * c.action_period
+        tumbling.at(torch.full_like(theta_s, time))
         lit |= light(whole, rotate(conjugate(tumbling.attitude), sun_direction(angle)).float()) > 0.0
         enough = (weights * lit).sum(0) >= c.success_score
         earliest[enough & earliest.isinf()] = time

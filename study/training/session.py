@@ -29,7 +29,7 @@ from study.training.run import CHECKPOINT, Run
 BEGUN = ("provenance.json", "config.toml", CHECKPOINT)
 RESUMABLE = ("policy", "value", "optimiser", "env", "generators", "update", "seconds", "config")
 # keys of [ppo] without which the weights are another policy's
-FITTING = ("hidden", "log_std_bounds", "tanh_outputs", "action_power", "action_dead_zone")
+FITTING = ("hidden", "log_std_bounds", "tanh_outputs", "action_power")
 
 
 def check_minibatch(config: Config) -> None:

@@ -17,9 +17,8 @@ from inspection.chief.points import fibonacci_sphere
 from inspection.chief.surface import Surface, hidden, hiding
 from inspection.model import attitude
 from inspection.model.dynamics import sun_direction
-from inspection.model.orbit import coast
+from inspection.model.orbit import free_flight
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import SIZE, THETA_S, P, V
 from rta.names import CONSTRAINTS
 from settings import InputError
 from study.config import Config, recorded
@@ -235,11 +234,9 @@ def hull(corners: np.ndarray) -> np.ndarray:
 def ahead(episode: Episode, c: InspectionParameters) -> np.ndarray:
     """Returns where free flight leads within the horizon of passive safety: from some rows, (rows, AHEAD, 3) in m."""
     rows = np.arange(0, len(episode["time"]), -(-len(episode["time"]) // MAX_AHEAD))
-    x = torch.zeros(SIZE, len(rows), dtype=torch.float64)
-    x[P], x[V] = (torch.as_tensor(episode[name][rows]).T for name in ("position", "velocity"))
-    x[THETA_S] = torch.as_tensor(episode["sun_angle"][rows])
+    p, v = (torch.as_tensor(episode[name][rows], dtype=torch.float64).T for name in ("position", "velocity"))
     times = torch.linspace(0.0, c.passive_safety_horizon, AHEAD, dtype=torch.float64)
-    return coast(x[:, None], times[:, None], c).permute(2, 1, 0).numpy()
+    return free_flight(p[:, None], v[:, None], times[:, None], c.mean_motion).permute(2, 1, 0).numpy()
 
 
 def shaded(run: Replayed, episode: Episode) -> list[list[int]]:

@@ -474,8 +474,7 @@ def test_without_a_check_a_state_may_start_where_every_psi_is_kept(filter_: str)
 @pytest.mark.parametrize(
     ("changed", "reason"),
     [
-        ({"hill_rotation": True}, "the chief's orbit must be a circle, in a frame whose turning is left out"),
-        ({"orbit": "two-body", "eccentricity": 0.1}, "the chief's orbit must be a circle"),
+        ({"hill_rotation": True}, "the turning of Hill's frame must be left out"),
         ({"solar_panel_axis": "+x"}, "there is no attitude of rest: panels must be on -x"),
         ({"thermal_axis": "-x"}, "there is no attitude of rest"),
         ({"max_distance": 60.0, "max_speed": 0.3}, "zone"),

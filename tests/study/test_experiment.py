@@ -10,7 +10,7 @@ from inspection.model.state import SIZE, THRUST, E, P, Q, V
 from settings import override
 from study import machine
 from study.config import Config
-from study.experiment import Experiment, paper_task, settled, with_correction_price
+from study.experiment import Experiment, paper_task, settled
 from study.flight import evaluation
 from study.flight.controllers import untrained
 
@@ -19,15 +19,6 @@ HULL = {"mesh": "configs/chiefs/box.npz", "collision": "hull"}
 
 def made(**tables: dict[str, object]) -> Config:
     return override(Config(), {"train": {"compile": "off", "device": "cpu"}} | tables, "test")
-
-
-def test_learning_from_a_penalty_puts_a_price_on_corrections_where_there_is_none() -> None:
-    penalty = made(train={"learn_from": "penalty"})
-    assert with_correction_price(penalty).correction_reward == -0.003
-    own = override(penalty, {"inspection": {"correction_reward": -0.1}}, "test")
-    assert with_correction_price(own).correction_reward == -0.1
-    back = override(penalty, {"train": {"learn_from": "desired"}}, "test")
-    assert with_correction_price(back) == penalty.inspection and penalty.inspection.correction_reward == 0.0
 
 
 def test_filter_and_environment_stay_clear_of_the_hull() -> None:

@@ -119,7 +119,7 @@ def test_the_shipped_campaigns_verify_every_period(period: float) -> None:
         (None, {}),
         (None, {"uncertainty": {"torque_gain": 0.1}}),
         ("motion", {"uncertainty": {"thrust_quantum": 1.0}, "rta": {"unverified": True}}),
-        ("motion and attitude", {"inspection": {"orbit": "two-body"}, "rta": {"unverified": True}}),
+        ("motion and attitude", {"inspection": {"hill_rotation": True}, "rta": {"unverified": True}}),
         (None, {"chief": {"mesh": "configs/chiefs/box.npz", "collision": "hull"}}),
     ],
 )

@@ -261,7 +261,7 @@ def moved_by(x: Tensor, u: Tensor, hold: float) -> Tensor:
 def test_where_no_backup_trajectory_is_known_there_is_no_check() -> None:
     for c, reason in (
         (replace(C, solar_panel_axis="+x"), "no attitude of rest"),
-        (replace(C, orbit="two-body"), "must be a circle"),
+        (replace(C, hill_rotation=True), "turning of Hill's frame must be left out"),
     ):
         with pytest.raises(NoCheckError, match=reason):
             NominalCheck(c, 1.0)

@@ -291,7 +291,7 @@ def test_bounds_without_a_rest_have_no_check() -> None:
         (C, {"attitude": 20.0}, ""),
         (C, {"torque_gain": 0.9}, ""),
         (replace(C, solar_panel_axis="+x"), {}, "no attitude of rest"),
-        (replace(C, orbit="two-body", eccentricity=0.1), {}, "must be a circle"),
+        (replace(C, hill_rotation=True), {}, "turning of Hill's frame"),
     ):
         with pytest.raises(NoCheckError, match=reason):
             of_torque(c, PERIOD, replace(U1, **wide))

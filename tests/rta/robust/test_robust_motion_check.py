@@ -189,8 +189,8 @@ def test_where_no_invariant_set_is_known_there_is_no_check() -> None:
             of_thrust(C, PERIOD, bounds)
         with pytest.raises(ValueError, match=r"^no check is known of motion: .*unverified = true"):
             RobustFilter(C, uncertainty=bounds)
-    with pytest.raises(NoCheckError, match="circle"):
-        of_thrust(InspectionParameters(orbit="two-body"), PERIOD, U1)
+    with pytest.raises(NoCheckError, match="turning"):
+        of_thrust(InspectionParameters(hill_rotation=True), PERIOD, U1)
 
 
 LEFT_THE_ZONE = [-689.517, -118.445, 35.9689, -3.17297, -0.4764, -3.54167, 0.751987, -0.532918, 0.352355, -0.162358,

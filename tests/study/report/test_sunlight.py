@@ -7,9 +7,7 @@ import numpy as np
 import torch
 
 from inspection.chief import points as chief
-from inspection.model.dynamics import integrate
 from inspection.model.parameters import ChiefParameters, InspectionParameters
-from inspection.model.state import SIZE, THETA_S, P
 from study.report.sunlight import earliest_success
 
 
@@ -46,24 +44,6 @@ def test_it_is_the_moment_at_which_enough_points_have_been_lit():
     found = earliest_success(torch.tensor(theta), torch.tensor(priority), c).numpy()
     expected = np.array([by_loop(theta[i], priority[:, i], c) for i in range(20)])
     assert (found >= expected - 1e-6).all() and (found <= expected + c.action_period).all()
-
-
-def test_on_an_eccentric_orbit_the_sun_is_where_the_simulator_has_it():
-    c = InspectionParameters(orbit="two-body", eccentricity=0.3, num_points=40)
-    theta, rng = torch.linspace(0.0, 6.0, 10).double(), np.random.default_rng(1)
-    priority = torch.nn.functional.normalize(torch.tensor(rng.normal(size=(3, 10))), dim=0)
-    x = torch.zeros(SIZE, 10, dtype=torch.float64)
-    x[P.start], x[9], x[THETA_S] = 100.0, 1.0, theta
-    normals = chief.fibonacci_sphere(40)
-    weights = chief.point_weights(normals, priority)
-    lit, expected = torch.zeros(40, 10, dtype=torch.bool), torch.full((10,), torch.inf).double()
-    for k in range(round(c.max_time / c.action_period) + 1):
-        angle = x[THETA_S]
-        lit |= normals[:2].T @ torch.stack((angle.cos(), angle.sin())) > 0.0
-        expected[(((weights * lit).sum(0)) >= c.success_score) & expected.isinf()] = k * c.action_period
-        x = integrate(x, torch.zeros(6, 10).double(), 10.0, c, 1)
-    found = earliest_success(theta, priority, c)
-    assert ((found - expected).abs() <= c.action_period).all() and expected.isfinite().all()
 
 
 def test_a_box_that_stands_straight_is_never_lit_enough_and_one_that_is_tilted_or_turns_is():
