@@ -89,6 +89,11 @@ def gaussian_entropy(log_std: Tensor) -> Tensor:
     return (log_std + 0.5 * (1.0 + math.log(2.0 * math.pi))).sum(-1)
 
 
+def standard_deviation(entropy: float, actions: int) -> float:
+    """Returns the geometric mean of a Gaussian's standard deviations in so many actions, from its entropy in nats."""
+    return math.exp(entropy / actions - 0.5 * (1.0 + math.log(2.0 * math.pi)))
+
+
 class Policy(nn.Module):
     """Diagonal Gaussian policy with state-dependent mean in (-1, 1) and log-std within `log_std_bounds`.
 

@@ -701,7 +701,12 @@ LEARNER = [
         ("            privileged=config.ppo.privileged,", "            privileged=False,"),
         ("if config.ppo.cost_limit < 1.0 else None", "if config.ppo.cost_limit < 0.0 else None"),
         ("        self.exposure(transition)", "        self.exposure"),
-        ('| {"training": training}', "| {}"),
+        (
+            "self.learner.update(batch, self.update / train.updates)",
+            "self.learner.update(batch, (self.update + 1) / train.updates)",
+        ),
+        ("generator.set_state(state.cpu())", "generator.get_state()"),
+        ('"training": self.exposure.state_dict() | self.latest.state_dict(),', ""),
     ),
     *faults(
         "study/training/monitor.py",
@@ -739,12 +744,6 @@ LEARNER = [
         ('batch["advantage"] - self.multiplier.value', 'batch["advantage"] + self.multiplier.value'),
         ("value_losses = value_losses + losses", "value_losses = 0.0 * losses"),
         ("filter(None, (of_costs, others))", "filter(None, (of_costs + others,))"),
-    ),
-    *faults(
-        "ppo/trainer.py",
-        "ppo/test_trainer.py",
-        ("self.update / self.updates)", "(self.update + 1) / self.updates)"),
-        ("generator.set_state(saved.cpu())", "generator.get_state()"),
     ),
     *faults(
         "ppo/checkpoint.py",

@@ -12,13 +12,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
+from inspection.model.state import CONTROL_SIZE
 from inspection.orbits import GUIDANCE
 from inspection.transition import Transition
 from ppo import checkpoint
 from ppo.distributed import ranks, shard_of_episodes, shard_of_seeds
 from ppo.errors import NonFiniteError, RankLostError
 from ppo.learner import PPO
-from ppo.trainer import Trainer
+from ppo.network import standard_deviation
+from ppo.rollout import collect
 from settings import to_toml
 from study.config import EVALUATION_CASES, TEST_CASES, Config
 from study.errors import Stopped, as_input_error
@@ -68,7 +72,8 @@ class Run:
 
     Attributes:
         seed_dirs: each seed's own directory.
-        shard: what of it is this rank's; experiment, env and trainer are those of this part.
+        shard: what of it is this rank's; experiment, env and learner are those of this part.
+        update, trained_s: updates done, and wall-clock s that they took, over all sessions.
         annealing: what a person is told of the learning rate, if its end has moved.
     """
 
@@ -91,7 +96,7 @@ class Run:
         self.monitor = Monitor(self.experiment.safety.names, len(own_seeds), self.shard.seeds.start)
         self.log = Log(directory, self.seed_dirs, train.batch)
 
-        generators = self.experiment.generators(own_seeds)
+        self.generators = generators = self.experiment.generators(own_seeds)
         safety = self.monitor.timed(self.experiment.safety)
         self.env = self.experiment.env(
             num_envs,
@@ -107,7 +112,7 @@ class Run:
         self.policy = self.experiment.policy(generators)
         value = self.experiment.value(generators)
         cost_value = self.experiment.value(generators) if config.ppo.cost_limit < 1.0 else None
-        learner = PPO(
+        self.learner = PPO(
             self.policy,
             value,
             config.ppo,
@@ -117,13 +122,12 @@ class Run:
             cost_value,
         )
         if self.experiment.compiled and self.device.type == "cuda":  # on a CPU it would be no faster
-            compile_or_explain("learner", lambda: learner.compile(train.batch))
-        env = Adversary(self.env, train.adversary) if train.adversary else self.env
-        from_applied = train.learn_from == "applied"
-        self.trainer = Trainer(env, learner, train.rollout_steps, train.updates, generators, from_applied)
+            compile_or_explain("learner", lambda: self.learner.compile(train.batch))
+        self.rewarded = Adversary(self.env, train.adversary) if train.adversary else self.env
+        self.update, self.trained_s = 0, 0.0
         self.lessons: JumpStart | None = None
         if train.jump_start:
-            lessons = learner, train.rollout_steps, train.lessons, generators
+            lessons = self.learner, train.rollout_steps, train.lessons, generators
             self.lessons = JumpStart(self.env, GUIDANCE[train.teacher], *lessons)
         self.last_save: dict[str, float] = {}  # statistics that the next update shows
 
@@ -159,27 +163,35 @@ class Run:
 
     def be_taught(self, lessons: JumpStart, stopped: Callable[[], bool]) -> None:
         """Lets the guidance teach the policy, in place of the first updates; each lesson is saved."""
-        trainer = self.trainer
         while not lessons.done and not stopped():
             statistics = lessons.teach(self.watch)
-            trainer.update += 1
-            trainer.seconds += statistics["time/rollout_s"] + statistics["time/learning_s"]
+            self.update += 1
+            self.trained_s += statistics["time/rollout_s"] + statistics["time/learning_s"]
             self.show(statistics | self.last_save)
             self.last_save = {"time/checkpoint_s": seconds_of(self.save)}
 
     @property
     def interactions(self) -> int:
         """Interactions of each seed so far."""
-        return self.trainer.update * self.config.train.batch
+        return self.update * self.config.train.batch
 
     def seconds(self) -> float:
         """Wall-clock s of training so far, of the rank that took longest; all ranks ask together."""
-        return self.ranks.most(self.trainer.seconds)
+        return self.ranks.most(self.trained_s)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Returns everything that this rank needs to continue exactly, except for lessons."""
+        return self.learner.state_dict() | {
+            "env": self.env.state_dict(),
+            "generators": [generator.get_state() for generator in self.generators],
+            "update": self.update,
+            "seconds": self.trained_s,
+            "training": self.exposure.state_dict() | self.latest.state_dict(),
+        }
 
     def save(self) -> None:
         """Writes the checkpoint of all ranks and each seed's policy alone."""
-        training = self.exposure.state_dict() | self.latest.state_dict()
-        own = self.trainer.state_dict() | {"training": training}
+        own = self.state_dict()
         if self.lessons and self.lessons.taught > 0 and not self.lessons.done:
             own |= {"lessons": self.lessons.state_dict(), "lesson": self.lessons.latest}
         states = self.ranks.collect(own, self.device)
@@ -201,7 +213,11 @@ class Run:
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restores what `save` has written of training; raises as a checkpoint that does not fit."""
         own = self.shard.split(saved)
-        self.trainer.load_state_dict(own)
+        self.learner.load_state_dict(own)
+        self.env.load_state_dict(own["env"])
+        for generator, state in zip(self.generators, own["generators"], strict=True):
+            generator.set_state(state.cpu())
+        self.update, self.trained_s = int(own["update"]), float(own["seconds"])
         if "training" in own:  # which older checkpoints lack
             self.exposure.load_state_dict(own["training"])
             self.latest.load_state_dict(own["training"])
@@ -254,20 +270,35 @@ class Run:
         def stopped() -> bool:
             return self.ranks.any(bool(stop))
 
-        total = self.config.train.updates * self.config.train.batch
+        train = self.config.train
         shown = (
-            self.log.open(self.interactions, total, to_toml(self.config))
+            self.log.open(self.interactions, train.updates * train.batch, to_toml(self.config))
             if self.ranks.first
             else nullcontext()
         )
         with self.naming_the_checkpoint():
             with on_signal(react), shown:
                 try:
-                    self.env.progress = self.trainer.update / self.trainer.updates
+                    self.env.progress = self.update / train.updates
                     self.begin(stopped)
-                    self.trainer.run(self.watch, self.after_update, stopped)
+                    while self.update < train.updates and not stopped():
+                        started = time.perf_counter()
+                        batch = collect(
+                            self.rewarded,
+                            self.learner,
+                            train.rollout_steps,
+                            self.generators,
+                            self.watch,
+                            train.learn_from == "applied",
+                        )
+                        collected = time.perf_counter()
+                        losses = self.learner.update(batch, self.update / train.updates)
+                        learned = time.perf_counter()
+                        self.update += 1
+                        self.trained_s += learned - started
+                        self.after_update(self.statistics(losses) | times(started, collected, learned))
                 except (NonFiniteError, RankLostError) as error:
-                    where, last = f"update {self.trainer.update + 1}", self.directory / CHECKPOINT
+                    where, last = f"update {self.update + 1}", self.directory / CHECKPOINT
                     raise type(error)(f"{where}: {error}; last good checkpoint: {last}") from None
             self.save()
         if number := int(self.ranks.most(max(stop, default=0))):
@@ -277,12 +308,19 @@ class Run:
                 number,
             )
 
+    def statistics(self, losses: dict[str, Tensor]) -> dict[str, float]:
+        """Returns what an update of the learner says, means over seeds, by TensorBoard's tags."""
+        found = {f"losses/{name}": value.mean().item() for name, value in losses.items()}
+        found["policy/std"] = standard_deviation(found["losses/entropy"], CONTROL_SIZE)
+        found["learner/learning_rate"] = self.learner.optimiser.param_groups[0]["lr"]
+        return found
+
     def begin(self, stopped: Callable[[], bool]) -> None:
         """What comes before the first update: the lessons of the guidance, and evaluations before and after them."""
         early = self.config.train.early_evaluations > 1
         if early and not self.interactions and not self.ranks.agree(self.log.begun()):
             self.evaluate()
-        if self.lessons and self.trainer.update < self.lessons.batches:
+        if self.lessons and self.update < self.lessons.batches:
             self.be_taught(self.lessons, stopped)
             for batch in (self.lessons.flown, self.lessons.latest):  # which are large
                 batch.clear()
@@ -303,7 +341,7 @@ class Run:
 
     def show(self, statistics: dict[str, float]) -> None:
         """Logs an update or a lesson, of all ranks; the price of fuel grows for the next one."""
-        self.env.progress = self.trainer.update / self.trainer.updates
+        self.env.progress = self.update / self.config.train.updates
         self.monitor.episodes.append(self.latest.shown(self.monitor.seeds, self.monitor.first_seed))
         statistics["time/filter_s"] = self.monitor.filter_seconds
         statistics["time/simulation_s"] = statistics["time/rollout_s"] - self.monitor.filter_seconds
@@ -338,7 +376,7 @@ class Run:
 
     def violations_in_training(self) -> list[dict[str, Any]]:
         """Returns `Exposure.report` of all ranks, which all have to ask; an empty list except on the first one."""
-        own = {"training": self.exposure.state_dict(), "seconds": self.trainer.seconds}
+        own = {"training": self.exposure.state_dict(), "seconds": self.trained_s}
         states = self.ranks.collect(own, self.device)
         if not states:
             return []
@@ -384,6 +422,11 @@ def what_next(directory: Path) -> str:
             f"tensorboard --logdir {logs}",
         )
     )
+
+
+def times(started: float, collected: float, learned: float) -> dict[str, float]:
+    """Returns how long an update took, by TensorBoard's tags."""
+    return {"time/rollout_s": collected - started, "time/learning_s": learned - collected}
 
 
 def seconds_of(deed: Callable[[], None]) -> float:

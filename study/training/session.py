@@ -163,7 +163,7 @@ def create(
     run = Run(config, directory, seeds)
     for name, weights in (networks or {}).items():
         with as_input_error(f"--init-from: its {name} network does not fit this run", *MALFORMED):
-            getattr(run.trainer.learner, name).load_state_dict(weights)
+            getattr(run.learner, name).load_state_dict(weights)
     with as_input_error("[inspection]", RuntimeError):
         run.env.reset()
     return run

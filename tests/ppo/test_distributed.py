@@ -74,7 +74,7 @@ def job(directory: Path) -> None:
 
         def ending(self: training.Run, statistics: dict[str, float]) -> None:
             after_update(self, statistics)
-            if ranks().rank == 1 and self.trainer.update == update:
+            if ranks().rank == 1 and self.update == update:
                 os.kill(os.getpid(), signal_number)
 
         training.Run.after_update = ending
@@ -187,7 +187,7 @@ def test_a_lost_rank_leaves_one_line_and_a_checkpoint_that_one_process_continues
     assert line.endswith(f"; last good checkpoint: {path}")
     assert "Traceback" not in err
     run = training.resume(directory / "lost")
-    assert run.trainer.update == 2
+    assert run.update == 2
     run.train()
     assert_close(state(alone), state(run.directory), TOLERANCE)
 

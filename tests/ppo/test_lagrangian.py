@@ -12,7 +12,6 @@ from ppo.learner import PPO
 from ppo.network import Policy, Value
 from ppo.parameters import PPOParameters
 from ppo.rollout import collect
-from ppo.trainer import Trainer
 
 LIMIT = 0.2
 
@@ -129,18 +128,21 @@ def test_without_a_limit_no_costs_are_learned(toy, small_learner) -> None:
     assert learner.multiplier is None and "multiplier" not in learner.state_dict()
 
 
-def test_a_resumed_training_has_its_price(toy, small_learner) -> None:
-    def make() -> Trainer:
-        learner = small_learner(cost_limit=LIMIT, learning_rate=1e-2)
-        return Trainer(toy(), learner, 5, 4, learner.generators)
+def test_a_learner_that_goes_on_has_its_price(toy, small_learner) -> None:
+    def train(learner, env, updates: range) -> None:
+        for update in updates:
+            learner.update(collect(env, learner, 5, learner.generators), update / 4)
 
-    whole, first, second = make(), make(), make()
-    whole.run(lambda _: None, lambda _: None, lambda: False)
-    first.run(lambda _: None, lambda _: None, lambda: first.update == 2)
+    whole, first, second = (small_learner(cost_limit=LIMIT, learning_rate=1e-2) for _ in range(3))
+    env = toy()
+    train(whole, toy(), range(4))
+    train(first, env, range(2))
     second.load_state_dict(copy.deepcopy(first.state_dict()))
-    second.run(lambda _: None, lambda _: None, lambda: False)
+    for ours, theirs in zip(second.generators, first.generators, strict=True):
+        ours.set_state(theirs.get_state())
+    train(second, env, range(2, 4))
     for part in ("policy", "cost_value", "multiplier"):
-        ours, theirs = (trainer.state_dict()[part] for trainer in (second, whole))
+        ours, theirs = (learner.state_dict()[part] for learner in (second, whole))
         assert all(torch.equal(tensor, theirs[name]) for name, tensor in ours.items())
     assert whole.state_dict()["multiplier"]["value"].min() > 0.0
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from ppo.network import Policy, StackedMLP, Value, draw_noise
+from ppo.network import Policy, StackedMLP, Value, draw_noise, standard_deviation
 
 SEEDS = (3, 11, 7)
 
@@ -128,3 +128,9 @@ def test_the_mean_action_is_shaped_and_what_is_learned_from_is_not() -> None:
     policy.power = 2.0
     torch.testing.assert_close(policy.mean_action(x), linear.sign() * linear.square())
     assert torch.equal(policy.sample(x, generators(1, 2, 3))[0], drawn)
+
+
+def test_the_standard_deviation_is_that_of_a_gaussian_of_this_entropy() -> None:
+    scale = torch.tensor([0.5, 0.2, 0.1], dtype=torch.float64)
+    entropy = torch.distributions.Normal(torch.zeros_like(scale), scale).entropy().sum().item()
+    assert standard_deviation(entropy, 3) == pytest.approx(0.01 ** (1 / 3))

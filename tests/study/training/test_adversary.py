@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from ppo.rollout import collect
 from rta.names import CONSTRAINTS
 from study.experiment import Experiment
 from study.scales import scales
@@ -58,15 +59,14 @@ def test_the_reward_is_the_nearness_of_the_nearest_attacked_limit() -> None:
 
 
 def test_an_adversary_learns_from_its_own_reward(trained: Run) -> None:
-    assert isinstance(trained.trainer.env, Adversary) and trained.trainer.update == 2
+    assert isinstance(trained.rewarded, Adversary) and trained.update == 2
     assert trained.config.train.adversary == ATTACKED
     again = training.resume(trained.directory)
-    assert isinstance(again.trainer.env, Adversary)
-    for name, value in trained.trainer.state_dict()["policy"].items():
-        assert torch.equal(value, again.trainer.state_dict()["policy"][name])
+    assert isinstance(again.rewarded, Adversary)
+    for name, value in trained.state_dict()["policy"].items():
+        assert torch.equal(value, again.state_dict()["policy"][name])
     rewards = []
-    again.trainer.updates = 3
-    again.trainer.run(lambda transition: rewards.append(transition.reward), lambda _: None, lambda: False)
+    collect(again.rewarded, again.learner, 4, again.generators, lambda each: rewards.append(each.reward))
     assert torch.cat(rewards).max() < 0.0  # nowhere beyond a limit; the task pays for points
 
 

@@ -95,9 +95,9 @@ def test_the_copy_does_what_the_guidance_would_in_states_of_its_own(run: session
 
 
 def test_what_is_flown_counts_as_interactions_and_ppo_does_the_rest(run: session.Run) -> None:
-    assert run.interactions == 24_576 and run.trainer.seconds > 0.0
+    assert run.interactions == 24_576 and run.trained_s > 0.0
     before = [weight.clone() for weight in run.policy.parameters()]
-    run.trainer.run(lambda transition: None, lambda statistics: None, lambda: False)
+    run.train()
     assert run.interactions == 28_672
     assert not any(torch.equal(*pair) for pair in zip(before, run.policy.parameters(), strict=True))
 
@@ -154,7 +154,7 @@ def continued(whole: session.Run, directory: Path) -> session.Run:
 
 
 def assert_same(one: session.Run, other: session.Run) -> None:
-    learners = one.trainer.learner, other.trainer.learner
+    learners = one.learner, other.learner
     for network in ("policy", "value"):
         pairs = zip(*(getattr(each, network).parameters() for each in learners), strict=True)
         assert all(torch.equal(*pair) for pair in pairs)

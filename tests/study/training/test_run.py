@@ -53,14 +53,14 @@ def stop_after(run: training.Run, updates: int) -> None:
 
     def interrupting(statistics: dict[str, float]) -> None:
         after_update(statistics)
-        if run.trainer.update == updates:
+        if run.update == updates:
             os.kill(os.getpid(), signal.SIGTERM)
 
     run.after_update = interrupting
 
 
 def weights(run: training.Run) -> list[torch.Tensor]:
-    return [*run.trainer.learner.policy.parameters(), *run.trainer.learner.value.parameters()]
+    return [*run.learner.policy.parameters(), *run.learner.value.parameters()]
 
 
 def test_what_it_learns_from_makes_a_difference(tmp_path: Path) -> None:
@@ -91,13 +91,13 @@ def test_interrupted_and_resumed_equals_uninterrupted(tmp_path: Path, rta: bool)
     with pytest.raises(Stopped, match="--resume"):
         first.train()
     second = training.resume(tmp_path / "parts")
-    assert second.trainer.update == (1 if rta else 3)
+    assert second.update == (1 if rta else 3)
     second.train()
 
     for a, b in zip(weights(whole), weights(second), strict=True):
         assert torch.equal(a, b)
     assert torch.equal(whole.env.x, second.env.x)
-    ours, theirs = whole.trainer.state_dict(), second.trainer.state_dict()
+    ours, theirs = whole.state_dict(), second.state_dict()
     for part in ("cost_value", "multiplier"):
         assert all(map(torch.equal, ours[part].values(), theirs[part].values()))
     assert whole.violations_in_training() == second.violations_in_training() != []
@@ -120,10 +120,23 @@ def test_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path
     assert not any(torch.equal(a, b) for a, b in zip(weights(runs[0])[::2], other[::2], strict=True))
 
 
+def test_every_update_is_reported_once_with_its_learning_rate_and_its_time(tmp_path: Path) -> None:
+    run, told, watched = training.start(tiny(), tmp_path / "run"), [], []
+    after_update, watch = run.after_update, run.watch
+    run.after_update = lambda statistics: (told.append(dict(statistics)), after_update(statistics))  # type: ignore
+    run.watch = lambda transition: (watched.append(transition), watch(transition))  # type: ignore
+    run.train()
+    assert run.update == len(told) == 6 and len(watched) == 6 * 4
+    rates = [statistics["learner/learning_rate"] for statistics in told]
+    assert rates == pytest.approx([3e-4 * (1.0 - k / 6) for k in range(6)])
+    spent = sum(statistics["time/rollout_s"] + statistics["time/learning_s"] for statistics in told)
+    assert run.trained_s == pytest.approx(spent) and all("losses/value_loss" in each for each in told)
+
+
 def test_nan_stops_with_update_tensor_and_last_good_checkpoint(tmp_path: Path) -> None:
     run = training.start(tiny(), tmp_path)
     with torch.no_grad():
-        run.trainer.learner.value.network.layers[0].weight[0, 0, 0] = torch.nan
+        run.learner.value.network.layers[0].weight[0, 0, 0] = torch.nan
     with pytest.raises(NonFiniteError, match=r"update 1: .*advantage is not finite.*checkpoint\.pt"):
         run.train()
     assert checkpoint.load(tmp_path / "checkpoint.pt", ("update",))["update"] == 0

@@ -17,11 +17,12 @@ import pytest
 import torch
 
 import main
-from ppo import checkpoint, trainer
+from ppo import checkpoint
 from ppo.learner import PPO
 from settings import load
 from study.config import Config
 from study.experiment import load_policy
+from study.training import run as run_of
 from study.training import session as training
 
 ROOT = Path(main.__file__).parent
@@ -92,7 +93,7 @@ def after(monkeypatch: pytest.MonkeyPatch, update: int, deed: Callable[[Path], A
     original = training.Run.after_update
 
     def after_update(self: training.Run, statistics: dict[str, float]) -> None:
-        if self.trainer.update == update:
+        if self.update == update:
             deed(self.directory)
         original(self, statistics)
 
@@ -158,6 +159,7 @@ import torch
 import main
 from pathlib import Path
 from inspection import initial_state
+from study.training import run as run_of
 from study.training import session as training
 
 torch.set_num_threads(1)
@@ -169,11 +171,11 @@ def killing(descriptor):
     os.kill(os.getpid(), signal.SIGKILL)  # all is written, nothing replaced
 
 def after_update(self, statistics):
-    if self.trainer.update == 2:
+    if self.update == 2:
         child = subprocess.Popen(["sleep", "60"], close_fds=False, stdout=subprocess.DEVNULL)
         print(child.pid, flush=True)
         sys.stdin.readline()  # until the others have tried
-    if self.trainer.update == 4:
+    if self.update == 4:
         os.fsync = killing
     update(self, statistics)
 
@@ -310,7 +312,7 @@ def test_a_run_starts_from_an_agent_and_goes_on_from_there(
     name: str, settings: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     collected: list[dict[str, torch.Tensor]] = []
-    collect = trainer.collect
+    collect = run_of.collect
 
     def watching(env: Any, learner: PPO, *rest: Any) -> dict[str, torch.Tensor]:
         if not collected:
@@ -318,7 +320,7 @@ def test_a_run_starts_from_an_agent_and_goes_on_from_there(
             collected.append({key: value.clone() for key, value in learner.value.state_dict().items()})
         return collect(env, learner, *rest)
 
-    monkeypatch.setattr(trainer, "collect", watching)
+    monkeypatch.setattr(run_of, "collect", watching)
     source = whole / name
     arguments = ["train", "--config", str(settings), "--run-dir", str(tmp_path / "run"), "--seed", "9"]
     assert main.main([*arguments, "--interactions", "16", "--init-from", str(source)]) == 0
