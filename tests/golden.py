@@ -190,12 +190,11 @@ def verified(policy: str, *flags: str) -> Quantities:
         report = json.loads(path.read_text())
         worst = [np.load(f"{path}.{name}.npz")["control_applied"] for name in CONSTRAINTS]
     counts = "episodes", "steps", "starts_rejected", "backup_calls", "controls_outside_bounds"
-    tables = "violating_episodes", "violating_steps", "filter_calls", "yielded_calls"
+    tables = "violating_episodes", "violating_steps", "filter_calls"
     of_tables = {f"{table} {key}": value for table in tables for key, value in report[table].items()}
     return {
         "counts": {name: report[name] for name in counts} | of_tables,
         "least h": report["worst_value"],
-        "largest slack": report["largest_slack"],
         "controls": rows(CONTROLS, np.concatenate(worst).T),
     }
 

@@ -16,7 +16,6 @@ from inspection.transition import METRICS, Transition
 from rta.result import Status
 
 SUCCESS = OUTCOMES.index("success")
-ROUNDING = 1e-10  # slack that does not count, in units of h's rate; even rows that never yield reach 1e-12
 
 
 class Starts(NamedTuple):
@@ -101,7 +100,6 @@ class Calls(Observer):
     Attributes:
         status: (4, B) calls by `Status`; intervened, backup: (B,) calls.
         violated: (constraints, B) calls at whose true state the constraint was negative.
-        yielded: (constraints, B) calls at which a row had slack; slack: (constraints, B) its largest.
         excess: (B,) the largest control in units of its actuator's limit.
     """
 
@@ -110,20 +108,17 @@ class Calls(Observer):
         self.limits, self.limit = limits, env.limit
         self.status = x.new_zeros(len(Status), x.shape[1])
         self.intervened, self.backup, self.excess = (x.new_zeros(x.shape[1]) for _ in range(3))
-        self.violated, self.yielded, self.slack = (x.new_zeros(constraints, x.shape[1]) for _ in range(3))
+        self.violated = x.new_zeros(constraints, x.shape[1])
 
     def hold(self, hold: Hold, running: Tensor) -> None:
         if hold.correction is None:
             return
         answer: Any = hold.correction  # of the project's own filter
         asked = running if hold.missed is None else running & ~hold.missed
-        slack = answer.slack * asked
         self.status += torch.nn.functional.one_hot(answer.status, len(Status)).T * asked
         self.intervened += answer.intervened & asked
         self.backup += answer.backup & asked
         self.violated += (self.limits.before < 0.0) & asked
-        self.yielded += slack > ROUNDING
-        self.slack = torch.maximum(self.slack, slack)
         control = hold.applied.abs() / self.limit
         self.excess = torch.maximum(self.excess, torch.where(running, control.amax(0), 0.0))
 

@@ -17,7 +17,6 @@ from study.verification.tape import CHECK_EVERY
 from study.verified import fingerprint, gains_of, of_hull
 
 WIDTH = 100  # of the text
-LISTED = 12  # sets of constraints with slack together that the text lists
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,14 +112,12 @@ def table(report: dict[str, Any]) -> str:
     total = sum(calls.values())
     corrected = 100.0 * (total - calls["untouched"]) / max(total, 1)
     lines = [
-        f"{'constraint':20s} {'violating steps':>16s} {'episodes':>9s} {'worst value':>13s} {'calls with slack':>17s}",
+        f"{'constraint':20s} {'violating steps':>16s} {'episodes':>9s} {'worst value':>13s}",
         *(
-            f"{name:20s} {steps[name]:16,d} {episodes[name]:9,d} "
-            f"{report['worst_value'][name]:13.5g} {report['yielded_calls'][name]:17,d}"
+            f"{name:20s} {steps[name]:16,d} {episodes[name]:9,d} {report['worst_value'][name]:13.5g}"
             for name in CONSTRAINTS
         ),
         f"{'any of them':20s} {steps['any']:16,d} {episodes['any']:9,d}",
-        "slack: what a constraint's row gave way by, where not all of them could be held at once",
         f"{report['episodes']:,} episodes, {report['steps']:,} steps; violation probability per episode below "
         f"{report['upper_bound_95']:.2e} (95 %)",
         f"{total:,} filter calls, {corrected:.1f} % corrected, {calls['slack']:,} with slack, "
@@ -129,14 +126,6 @@ def table(report: dict[str, Any]) -> str:
         f"of all starts drawn for these batches the filter refused {report['starts_rejected']:,} that keep "
         "every limit",
     ]
-    together = sorted(report["slack_together"].values(), key=lambda same: -same["calls"])
-    if together:
-        lines += ["", "    calls  slack together, largest in h's unit per s (per s^2 at relative degree two)"]
-    for same in together[:LISTED]:
-        slack = ", ".join(f"{name} {value:.2g}" for name, value in same["largest_slack"].items())
-        lines.append(f"{same['calls']:9,d}  {slack}")
-    if more := together[LISTED:]:
-        lines.append(f"{sum(same['calls'] for same in more):9,d}  in {len(more):,} other combinations")
     return "\n".join(fill(line, WIDTH, subsequent_indent=" " * 11) for line in lines)
 
 

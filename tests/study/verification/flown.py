@@ -32,13 +32,10 @@ def flown(
         worst=limits.worst,
         when=limits.when,
         status=calls.status,
-        yielded=calls.yielded,
-        slack=calls.slack,
         backup=calls.backup,
         excess=calls.excess,
         desired=tape.desired,
         applied=tape.applied,
         corners=tape.corners,
-        conflicts=tape.conflicts,
         starts=record.starts,
     )

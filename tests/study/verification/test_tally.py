@@ -9,10 +9,9 @@ from torch import Tensor
 
 from rta.names import CONSTRAINTS
 from rta.result import Status
-from study.flight.fly import ROUNDING
 from study.verification import tally
-from tests.oracles import PSM_TOLERANCE, paper, tensor
-from tests.study.verification.test_flight import DECIDE, SECONDS, lax, recounted, six_episodes
+from tests.oracles import PSM_TOLERANCE
+from tests.study.verification.test_flight import SECONDS, recounted, six_episodes
 
 ORIGIN = {"batch_seed": 17, "batch_size": 20}
 
@@ -43,7 +42,6 @@ def test_a_report_adds_its_flights_up() -> None:
         assert (case["batch_seed"], case["batch_size"]) == (17, 20)  # the first of equals
         start = torch.cat(flight.starts[:2])[:, case["column"] - 3]
         np.testing.assert_array_equal(case["initial_state"] + case["priority"], start)
-        assert report["yielded_calls"][name] == 2 * sum(one["yielded"][i] for one in episodes)
     calls = 2 * sum(one["status"] for one in episodes)
     assert list(report["filter_calls"].values()) == list(calls)
     assert report["backup_calls"] == 2 * sum(one["backup"] for one in episodes)
@@ -59,39 +57,3 @@ def test_one_step_beyond_a_limit_makes_an_episode_a_violating_one(monkeypatch: p
     report = added(tally.empty_tally())
     for name in (CONSTRAINTS[2], "any"):
         assert (report["violating_steps"][name], report["violating_episodes"][name]) == (4, 2)
-
-
-def test_calls_with_slack_are_shown_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Asked again, the filter has the same slack in each of them."""
-    flight = six_episodes()
-    monkeypatch.setattr(tally, "SHOWN", 2)
-    total = added(tally.empty_tally())
-    together = total["slack_together"]
-    programs = sum(int((slack > ROUNDING).any(0).sum()) for slack in flight.conflicts.slack.split((7, 6)))
-    assert sum(same["calls"] for same in together.values()) == programs > 5
-    for i, name in enumerate(CONSTRAINTS):
-        mine = [same for key, same in together.items() if name in key.split(" + ")]
-        assert sum(same["calls"] for same in mine) == total["yielded_calls"][name]
-        assert max((same["largest_slack"][name] for same in mine), default=0.0) == flight.slack[i].max()
-        shown = sum(name in one["slack"] for one in total["conflicts"])
-        assert shown >= min(total["yielded_calls"][name], tally.SHOWN)
-    assert len(total["conflicts"]) < flight.conflicts.column.numel()
-    for one in total["conflicts"]:
-        x, u = (np.array(one[key])[:, None] for key in ("state", "control_desired"))
-        again = lax()(tensor(x), tensor(u))
-        expected = [one["slack"].get(name, 0.0) for name in CONSTRAINTS]
-        np.testing.assert_allclose(again.slack[:, 0], expected, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(list(one["h"].values()), paper(x)[:, 0], rtol=0, atol=PSM_TOLERANCE)
-        call, column = int(one["time_s"]), one["column"] - 3
-        wanted = flight.applied[call - 1] if call % DECIDE else flight.desired[call]
-        np.testing.assert_array_equal(one["control_desired"], wanted[:, column])
-
-
-def test_the_calls_shown_do_not_depend_on_how_episodes_are_divided(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tally, "SHOWN", 2)
-    whole, parts = added(tally.empty_tally()), tally.empty_tally()
-    for chosen in ([0, 1], [2, 3, 4, 5]):
-        mask = torch.zeros(6, dtype=torch.bool)
-        mask[chosen] = True
-        added(parts, mask)
-    assert whole == parts
