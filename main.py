@@ -71,12 +71,6 @@ SHORT = {
     "--qp-solver": "rta.qp_solver",
     "--solar-panel-axis": "inspection.solar_panel_axis",
 }
-# Flags of CleanRL and Stable-Baselines3.
-ELSEWHERE = {
-    "--total-timesteps": "--interactions",
-    "--num-steps": "--rollout-steps",
-    "--n-steps": "--rollout-steps",
-}
 # Which settings the commands' flags reach: tables, or single ones.
 FILTER = ("inspection", "chief", "rta", "uncertainty")
 MACHINE = ("train.device", "train.compile")
@@ -140,13 +134,16 @@ def name(text: str) -> str:
 
 def flag(*names: str, **options: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
     """Returns the arguments of `add_argument`; the help goes on with the default, if there is one."""
-    if re.fullmatch(r"(D|DIR|F)(\.\w+)?", str(options.get("metavar"))) and "type" not in options:
-        options["type"] = name
     if options.get("default") is not None:
         default = options["default"]
         text = ("on" if default else "off") if isinstance(default, bool) else shown(default)
         options["help"] += f" (default: {text})"
     return names, options
+
+
+def file_flag(*names: str, **options: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
+    """Returns the arguments of `add_argument` for a flag that takes the name of a file or a directory."""
+    return flag(*names, type=name, **options)
 
 
 def to_write(suffix: str) -> Callable[[str], Path]:
@@ -203,13 +200,13 @@ THREADS = count(
     "processor threads (default: OMP_NUM_THREADS, else 1 for PyTorch, whose last digits depend on it, and all for "
     "compiled functions; a run or a study that is continued keeps its own)",
 )
-CACHE = flag(
+CACHE = file_flag(
     "--cache-dir",
     metavar="DIR",
     help="directory that keeps what is compiled (default: $RTA_CACHE_DIR, or rta-inspection in the user's "
     "cache directory)",
 )
-AGENT = flag("--checkpoint", metavar="F", help="the agent: policy.pt or checkpoint.pt of a run")
+AGENT = file_flag("--checkpoint", metavar="F", help="the agent: policy.pt or checkpoint.pt of a run")
 REPORT = flag(
     "--json",
     type=to_write(".json"),
@@ -242,13 +239,13 @@ def filtered(config: Config) -> Config:
 @command(
     "train an agent with or without run time assurance",
     "--config quickstart --run-dir runs/first",
-    flag("--run-dir", metavar="D", help="directory to create (default: runs/<arm>__<seed>__<time>)"),
-    flag(
+    file_flag("--run-dir", metavar="D", help="directory to create (default: runs/<arm>__<seed>__<time>)"),
+    file_flag(
         "--init-from",
         metavar="F",
         help="start from the agent in F, policy.pt or checkpoint.pt of a run, which gives its value network, too",
     ),
-    flag(
+    file_flag(
         "--resume",
         metavar="D",
         help="continue the run in D exactly where it stopped; with --interactions N go on to N; --final-episodes "
@@ -292,7 +289,7 @@ def run_train(given: Namespace) -> None:
 @command(
     "train many seeds of each arm and evaluate them; the same command continues an interrupted study",
     "--config study --study-dir runs/study",
-    flag(
+    file_flag(
         "--study-dir",
         metavar="D",
         default="runs/study",
@@ -313,7 +310,7 @@ def run_study(given: Namespace) -> None:
 @command(
     "write a finished study's results as one page, with its figures and the data behind them",
     "--study runs/study",
-    flag("--study", metavar="D", required=True, help="directory of a finished study"),
+    file_flag("--study", metavar="D", required=True, help="directory of a finished study"),
     flag(
         "--device",
         choices=("auto", "cpu", "cuda"),
@@ -387,13 +384,13 @@ def run_evaluate(given: Namespace) -> None:
         help="the controller",
     ),
     AGENT,
-    flag(
+    file_flag(
         "--actions",
         metavar="F.npy",
         help="N x 6 controls in N and N m, a row per --step, for --controller recorded; N x 25 with the corners of a "
         "flight that play saved, where [plant] errors are worst",
     ),
-    flag("--initial-state", metavar="F.json", help="state file (default: drawn from --seed)"),
+    file_flag("--initial-state", metavar="F.json", help="state file (default: drawn from --seed)"),
     seed(TEST_CASES, "of what is drawn"),
     seconds("--duration", None, "seconds to simulate", required=True),
     seconds(
@@ -477,7 +474,7 @@ def run_play(given: Namespace) -> None:
 @command(
     "filter a batch of states from elsewhere and write out the quadratic programs",
     "--states states.npz --out filtered.npz",
-    flag(
+    file_flag(
         "--states",
         required=True,
         metavar="F.npz",
@@ -620,7 +617,7 @@ def run_break_points(given: Namespace) -> None:
 @command(
     "fly a counter-example of verify again",
     "runs/verify.json.collision.npz",
-    flag("file", metavar="F.npz", help="what verify kept beside --json, with all settings"),
+    file_flag("file", metavar="F.npz", help="what verify kept beside --json, with all settings"),
 )
 def run_refly(given: Namespace) -> None:
     from study.verification.counter_examples import refly_file
@@ -670,8 +667,10 @@ def run_benchmark(given: Namespace) -> None:
     settings=FILTER,
     one_of=(
         flag("--out", type=to_write(".onnx"), metavar="F.onnx", help="ONNX file to write"),
-        flag("--c", metavar="D", help="directory to create for C99 sources, or that holds those of an agent"),
-        flag(
+        file_flag(
+            "--c", metavar="D", help="directory to create for C99 sources, or that holds those of an agent"
+        ),
+        file_flag(
             "--filter",
             metavar="D",
             help="directory to create for the filter's C99 sources, or that holds those of a filter",
@@ -713,15 +712,23 @@ def run_export(given: Namespace) -> None:
     )
 
 
-class CommandLine(Parser):
-    """The parser of each command."""
-
-    elsewhere = ELSEWHERE
+@command(
+    "print all settings as TOML, with unit and meaning, as defaults, files and flags set them",
+    "--config 12u --rta-period 5",
+    AGENT,
+    settings=(*TRAINED, "study"),
+)
+def run_config(given: Namespace) -> None:
+    if given.checkpoint:
+        _, config = agent_and_config(given)
+    else:
+        config = configured(given, StudyConfig())
+    print(to_toml(config), end="")
 
 
 def build_parser() -> Parser:
     """Returns the parser of the whole command line."""
-    parser = CommandLine(prog="main.py", description=__doc__)
+    parser = Parser(prog="main.py", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True, metavar=" | ".join(COMMANDS))
     for add_to in DECLARED.values():
         add_to(commands)
@@ -792,13 +799,6 @@ def outcome(words: list[str], errors: TextIO | None) -> int:
 
 def run(given: Namespace) -> None:
     """Calls the command of a call."""
-    if getattr(given, "print_config", False):
-        if getattr(given, "checkpoint", None):
-            _, config = agent_and_config(given)
-        else:
-            config = configured(given, StudyConfig() if given.command == "study" else Config())
-        print(to_toml(config), end="")
-        return
     from ppo.distributed import ranks
     from study.machine import set_threads
 

@@ -326,10 +326,6 @@ def literal(value: Any) -> str:
 class Parser(argparse.ArgumentParser):
     """Ends bad usage in one line and exit code 2, and names what may have been meant."""
 
-    elsewhere: typing.ClassVar[
-        Mapping[str, str]
-    ] = {}  # flags of other programs, and what they are called here
-
     def __init__(self, **options: Any) -> None:
         super().__init__(**options, allow_abbrev=False)
 
@@ -338,12 +334,6 @@ class Parser(argparse.ArgumentParser):
         self.unknown = [
             word for word in words if word[:2] == "--" and word not in self._option_string_actions
         ]
-        if "--print-config" in words and "--print-config" in self._option_string_actions:
-            # a command's settings are printed without the flags that it needs to run
-            for action in self._actions:
-                action.required = False
-            for group in self._mutually_exclusive_groups:
-                group.required = False
         found, rest = super().parse_known_args(args, namespace)
         if rest:  # here, where a command's own flags are known
             self.error(f"unrecognized: {' '.join(rest)}{self.meant(rest[0])}")
@@ -358,8 +348,6 @@ class Parser(argparse.ArgumentParser):
 
     def meant(self, word: str) -> str:
         flags = self._option_string_actions
-        if (here := self.elsewhere.get(word.partition("=")[0].replace("_", "-"))) in flags:
-            return f"; it is {here} here"
         return instead(word.partition("=")[0], flags) if word.startswith("-") and len(flags) > FEW else ""
 
     def error(self, message: str) -> typing.NoReturn:
@@ -380,7 +368,7 @@ def add_flags(
     short: Mapping[str, str],
     chosen_anew: Collection[str] | None = None,
 ) -> None:
-    """Adds --config, --print-config and a flag for every setting of `reached`, such as --rta.period 5.
+    """Adds --config and a flag for every setting of `reached`, such as --rta.period 5.
 
     Args:
         config: whose settings the flags set, see `configured`.
@@ -390,13 +378,12 @@ def add_flags(
     """
     group = parser.add_argument_group(
         "settings",
-        "over those of an agent's run and those of --config; every other setting has a flag, too, "
-        "--table.key VALUE, see --print-config",
+        "over those of an agent's run and those of --config; every other setting also has a flag, --table.key VALUE "
+        "(`python main.py config` prints all)",
     )
     add = group.add_argument
     text = "TOML file, or the name of one that comes with the code (12u, plants/u1); several are read in their order"
     add("--config", action="append", default=[], metavar="FILE", help=text)
-    add("--print-config", action="store_true", help="print all settings as TOML, with their meaning, and end")
     tables = {table: part for table, part in vars(config).items() if isinstance(part, Settings)}
     every = {
         f"{t}.{key}": (t, p, key, rule) for t, p in tables.items() for key, rule in rules(type(p)).items()

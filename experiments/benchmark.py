@@ -20,6 +20,7 @@ import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from experiments import measure as demands
 from inspection.closed_loop import Correction
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
@@ -35,7 +36,6 @@ from study.config import Config
 from study.experiment import Experiment, check_is_checked
 from study.files import ROOT
 from study.machine import compile_or_explain, wants_compile
-from study.verification import measure as demands
 from study.verified import code_digest, fingerprint
 
 BATCHES = (256, 1024, 4096, 16384, 65536)

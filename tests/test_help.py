@@ -90,27 +90,10 @@ def test_an_example_stands_in_the_help_and_can_be_called(command: str) -> None:
 def test_what_is_changed_daily_comes_first_and_the_machine_last() -> None:
     shown = [action.option_strings[0] for action, _ in flags("train")]
     daily = ("--rta", "--rta-filter", "--rta-period", "--seed", "--interactions")
-    assert shown[:5] == ["--run-dir", "--init-from", "--resume", "--config", "--print-config"]
-    assert tuple(shown[5:10]) == daily
+    assert shown[:4] == ["--run-dir", "--init-from", "--resume", "--config"]
+    assert tuple(shown[4:9]) == daily
     assert shown[-2:] == ["--threads", "--cache-dir"]
     assert [action.option_strings[0] for action, _ in flags("evaluate")][:2] == [
         "--checkpoint",
         "--controller",
     ]
-
-
-@pytest.mark.parametrize(
-    ("metavar", "is_name"),
-    [
-        ("F", True),
-        ("F.npz", True),
-        ("D", True),
-        ("DIR", True),
-        ("DEG", False),
-        ("FACTOR", False),
-        ("N", False),
-    ],
-)
-def test_names_of_files_are_known_by_what_they_are_called(metavar: str, is_name: bool) -> None:
-    _, options = main.flag("--x", metavar=metavar, help="x")
-    assert (options.get("type") is main.name) == is_name

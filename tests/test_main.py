@@ -14,9 +14,10 @@ from inspection.transition import METRICS
 from rta.fast.program import FastProgram
 from rta.names import CONSTRAINTS
 from rta.paper import PaperFilter
-from settings import configured, from_toml, override
+from settings import configured, from_toml, load, override
 from study import experiment
-from study.config import Config
+from study.config import Config, StudyConfig
+from study.experiment import load_policy
 from study.training import session as training
 
 STATE: dict[str, Any] = {
@@ -187,13 +188,19 @@ def test_flags_override_the_file(tmp_path: Path) -> None:
     assert (train.seed, train.num_envs, train.rta) == (6, 8, False)
 
 
-@pytest.mark.parametrize("command", ["simulate", "verify", "evaluate"])
-def test_settings_are_printed_without_what_a_command_needs_to_run(
-    command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    code, out, err = call([command, "--print-config", "--rta.period", "5"], capsys)
+def test_all_settings_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = call(["config", "--config", "12u", "--rta-period", "5"], capsys)
     assert (code, err) == (0, "")
-    assert from_toml(out, "test", Config()).rta.period == 5.0
+    assert from_toml(out, "test", StudyConfig()) == override(
+        load("12u", StudyConfig()), {"rta": {"period": 5.0}}, "test"
+    )
+
+
+def test_the_settings_of_an_agent_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = call(["config", "--checkpoint", str(POLICY), "--rta-period", "5"], capsys)
+    found = from_toml(out, "test", Config())
+    assert code == 0 and found.rta.period == 5.0
+    assert found.ppo == load_policy(POLICY)[1].ppo != Config().ppo
 
 
 PROGRAMS = {"piqp": PaperFilter, "batched": FastProgram}

@@ -24,9 +24,6 @@ FLAGS = {
     "train --no-rta --learn-from applied": ["--learn-from", "without the filter", "desired"],
     "train --num-envs 1_000_000_000 --no-rta --compile off": ["1,000,000,000 episodes", "not enough memory"],
     "train --run_dir=d --seed 3": ["unrecognized: --run_dir=d; did you mean --run-dir?"],
-    "train --total-timesteps 1e5": ["unrecognized: --total-timesteps", "it is --interactions here"],
-    "train --num_steps=8": ["unrecognized: --num_steps=8; it is --rollout-steps here"],
-    "train --n-steps 8": ["--n-steps", "it is --rollout-steps here"],
     "evaluate --controller zero --total-timesteps 8": [
         "unrecognized: --total-timesteps"
     ],  # and has no such flag

@@ -1,6 +1,6 @@
 """What a filter makes of what is demanded: how much it corrects, what its check moves, how fast it is, where it starts.
 
-    python -m study.verification.measure --demand random --rta-period 10
+    python -m experiments.measure --demand random --rta-period 10
 
 Designs of a filter are compared by it. `--json F` keeps the numbers.
 """
