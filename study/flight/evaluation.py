@@ -16,14 +16,14 @@ from inspection.model.dynamics import sun_and_earth_in_body
 from inspection.model.state import OMEGA, E, P, T, V
 from inspection.orbits import GUIDANCE
 from inspection.termination import OUTCOMES
-from inspection.transition import METRICS, Transition
+from inspection.transition import METRICS
 from ppo.network import Policy
 from rta.names import CONSTRAINTS
 from rta.result import Status
 from study.config import TEST_CASES, Config
 from study.experiment import Experiment, test_cases
 from study.flight.controllers import agent, classical, untrained
-from study.flight.fly import Limits, Observer, Starts, fly
+from study.flight.fly import Limits, Observer, Progress, Starts, fly
 from study.flight.simulation import Recording
 from study.flight.summary import summary_of_runs
 from study.machine import bar
@@ -122,22 +122,6 @@ class Extremes(Observer):
 
     def hold(self, hold: Hold, running: Tensor) -> None:
         self.smallest.note(torch.where(running, raw_quantities(hold.after), math.inf))
-
-
-class Progress(Observer):
-    """Shows on a bar how many of the episodes have ended, and how far the others are."""
-
-    def __init__(self, shown: Any) -> None:
-        self.shown = shown
-
-    def begin(self, env: InspectionEnv, limits: Limits) -> None:
-        self.c, self.ended = env.c, torch.zeros_like(env.time, dtype=torch.bool)
-
-    def step(self, transition: Transition, running: Tensor) -> None:
-        self.ended |= transition.done
-        flown = int(transition.steps.max()) * self.c.action_period
-        self.shown.set_postfix_str(f"{flown:,.0f} s flown of at most {self.c.max_time:,.0f}", refresh=False)
-        self.shown.update(int(self.ended.sum()) - self.shown.n)
 
 
 def run_episodes(

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from tqdm import tqdm
 
 from inspection.closed_loop import Controller, Hold, Smallest
 from inspection.environment import InspectionEnv
@@ -152,6 +153,36 @@ class Ends(Observer):
         self.violations = torch.where(ending, percent, self.violations)
         self.outcome = torch.where(ending, transition.outcome, self.outcome)
         self.clear |= stays_clear(transition.state, ending & (transition.outcome == SUCCESS), self.c)
+
+
+class Progress(Observer):
+    """Shows on a bar how many episodes have flown or ended, for how long they fly, and how many violate a limit.
+
+    Args:
+        duration: s, of a flight in which all fly on; None: until every episode has ended.
+        violating: episodes of flights before.
+    """
+
+    def __init__(self, shown: tqdm, duration: float | None = None, violating: int = 0) -> None:
+        self.shown, self.duration, self.violating = shown, duration, violating
+
+    def begin(self, env: InspectionEnv, limits: Limits) -> None:
+        self.env, self.limits, self.before = env, limits, self.shown.n
+        self.ended, self.already = torch.zeros_like(env.time, dtype=torch.bool), self.violating
+
+    def hold(self, hold: Hold, running: Tensor) -> None:
+        if self.duration:
+            self.show(hold.end, hold.end / self.duration * running.numel())
+
+    def step(self, transition: Transition, running: Tensor) -> None:
+        self.ended |= transition.done
+        self.show(int(transition.steps.max()) * self.env.c.action_period, int(self.ended.sum()))
+
+    def show(self, seconds: float, done: float) -> None:
+        """Moves the bar on: so many s flown, and episodes of this flight, also in part."""
+        self.violating = self.already + int((self.limits.violating[-1] > 0).sum())
+        self.shown.set_postfix_str(f"{seconds:,.0f} s flown, {self.violating:,} violating", refresh=False)
+        self.shown.update(self.before + done - self.shown.n)
 
 
 @dataclass

@@ -4,13 +4,12 @@ import dataclasses
 import hashlib
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from inspection.closed_loop import Controller, Safety
 from inspection.environment import InspectionEnv
@@ -24,7 +23,7 @@ from study.errors import as_input_error
 from study.experiment import Experiment, check_clocks, load_policy
 from study.files import write_json, write_npz
 from study.flight.controllers import agent
-from study.flight.fly import Starts, fly
+from study.flight.fly import Observer, Progress, Starts, fly
 from study.flight.summary import upper_bound
 from study.machine import bar, step
 from study.verification.adversaries import Greedy, adversarial, attacked, held_at_random, learned
@@ -33,7 +32,7 @@ from study.verification.findings import Campaign, report_in, table
 from study.verification.lookahead import CANDIDATES, HORIZON, Lookahead
 from study.verification.starts import initial_states, spawned
 from study.verification.tally import add
-from study.verification.tape import CHECK_EVERY, Tape, Teller
+from study.verification.tape import CHECK_EVERY, Tape
 
 CHECKPOINT, LEARNED = FILES = ("checkpoint:", "learned:")  # before the file of an agent that is the policy
 POLICIES = ("random", "adversarial", "pressing", "lookahead")
@@ -59,7 +58,7 @@ def run(
     network: Policy | None,
     path: Path | None,
     keep_worst: bool = False,
-    tell: Callable[[float, int, int], None] = lambda flown, violating, begun: None,
+    observers: Sequence[Observer] = (),
 ) -> Iterator[dict[str, Any]]:
     """Flies batch after batch and yields the report so far, which `path` holds too and is resumed from.
 
@@ -71,8 +70,7 @@ def run(
         network: of a policy in a file, else None.
         path: a JSON file; beside it a violated constraint leaves its worst episode, FILE.CONSTRAINT.npz.
         keep_worst: every constraint does, violated or not.
-        tell: is told, while a batch flies, how many episodes have been flown, also in part, how many violate a
-            constraint, and of how many that have begun.
+        observers: look on at each batch; more may come once the first report is there.
     """
     config, env = experiment.config, None
     decide_every = decides_every(config, network)
@@ -95,10 +93,9 @@ def run(
         before = dict(report["worst_value"])
 
         tape = Tape(campaign.duration, first)
-        progress = Teller(telling(tell, report, count, campaign.duration))
         plants = torch.Generator().manual_seed(seed_of_plants)
         number = uniform(0.0, 1.0, campaign.batch_size, plants)[first : first + count].to(env.x)
-        flight = fly(env, controller, Starts(x, priority, number), campaign.duration, [tape, progress])
+        flight = fly(env, controller, Starts(x, priority, number), campaign.duration, [tape, *observers])
         origin = {"batch_seed": seed_of_starts, "batch_size": campaign.batch_size}
         everywhere = torch.ones(count, dtype=torch.bool, device=env.x.device)
         add(report, flight, tape, everywhere, origin)
@@ -175,17 +172,15 @@ def verify(
         experiment.safety = exported(experiment, campaign.filter)
     network = network.to(experiment.device) if network else None
 
-    def tell(flown: float, violating: int, begun: int) -> None:
-        shown.set_postfix_str(f"{violating:,} violating of {begun:,} begun", refresh=False)
-        shown.update(flown - shown.n)
-
-    reports = run(campaign, episodes, experiment, network, path, keep_worst, tell)
+    observers: list[Observer] = []
+    reports = run(campaign, episodes, experiment, network, path, keep_worst, observers)
     report = next(reports)  # refuses before there is a bar
     if report["episodes"] > episodes:
         print(f"{path}: holds {report['episodes']:,} episodes already, more than asked for", file=sys.stderr)
     with bar(episodes, "episodes", initial=report["episodes"], bar_format=BAR) as shown:
+        observers.append(Progress(shown, duration, report["violating_episodes"]["any"]))
         for report in reports:
-            tell(report["episodes"], report["violating_episodes"]["any"], report["episodes"])
+            shown.update(report["episodes"] - shown.n)
     return report
 
 
@@ -238,19 +233,6 @@ def exported(experiment: Experiment, filter_in: str) -> Safety:
     ):
         in_c = InC(experiment.checked_filter)
     return dataclasses.replace(experiment.safety, correct=in_c.correct)
-
-
-def telling(
-    tell: Callable[[float, int, int], None], report: dict[str, Any], count: int, duration: float
-) -> Callable[[float, Tensor], None]:
-    """What `fly` is to tell of a batch of so many episodes."""
-    before, violating_before = report["episodes"], report["violating_episodes"]["any"]
-
-    def told(time: float, violating: Tensor) -> None:
-        now = violating_before + int(violating.sum())
-        tell(before + count * time / duration, now, before + count)
-
-    return told
 
 
 def decides_every(config: Config, network: Policy | None) -> float:

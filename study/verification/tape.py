@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -47,16 +46,3 @@ class Tape(Observer):
         self.desired[i], self.applied[i] = hold.desired, hold.applied
         if self.env.plant and self.env.plant.is_worst:
             self.corners[i] = self.env.plant.corner
-
-
-class Teller(Observer):
-    """Tells after every hold its end in s, and which episodes have violated a constraint so far, (B,) bool."""
-
-    def __init__(self, tell: Callable[[float, Tensor], None]) -> None:
-        self.tell = tell
-
-    def begin(self, env: InspectionEnv, limits: Limits) -> None:
-        self.limits = limits
-
-    def hold(self, hold: Hold, running: Tensor) -> None:
-        self.tell(hold.end, self.limits.violating[-1] > 0)
