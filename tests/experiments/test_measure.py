@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from experiments import measure
 from experiments.measure import Counted, accepted, full, starts
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import P
@@ -14,7 +15,6 @@ from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from settings import override
 from study.config import Config
-from study.verification import measure
 
 pytestmark = pytest.mark.usefixtures("long_flights")
 
