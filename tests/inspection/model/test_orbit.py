@@ -80,10 +80,7 @@ def test_clearance_sees_a_pass_between_two_samples(c):
 def test_clohessy_and_wiltshires_is_the_slope_of_the_exact_acceleration_at_the_chief():
     """Two bodies about a point mass, seen from a frame that turns with the chief."""
     mu = 3.986004418e14
-    chief, turning = (
-        torch.tensor([(mu / N**2) ** (1 / 3), 0.0, 0.0]).double(),
-        torch.tensor([0.0, 0.0, N]).double(),
-    )
+    chief, turning = torch.tensor([[(mu / N**2) ** (1 / 3), 0.0, 0.0], [0.0, 0.0, N]], dtype=torch.float64)
 
     def exact(s):
         p, v = s[:3], s[3:]
