@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -26,6 +27,7 @@ WINGS = {
     "interfaces": ("interfaces", "tests/interfaces"),
     "experiments": ("experiments", "tests/experiments"),
 }
+AT_ONCE = 2
 LITTLE = ("--interactions=2048", "--num-envs=32", "--train.jump_start=1024", "--evaluation-interval=2048",
           "--train.early_evaluations=1", "--evaluation-episodes=1", "--final-episodes=1",
           "--inspection.max_time=300")  # fmt: skip
@@ -110,7 +112,8 @@ def main(words: list[str] | None = None) -> int:
     for wing in given.wings:
         if wing not in WINGS:
             parser.error(f"{wing}: must be one of {', '.join(WINGS)}")
-    return int(not all([stands(wing, given.all) for wing in given.wings or WINGS]))
+    with ThreadPoolExecutor(AT_ONCE) as workers:
+        return int(not all(list(workers.map(lambda wing: stands(wing, given.all), given.wings or WINGS))))
 
 
 if __name__ == "__main__":
