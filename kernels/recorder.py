@@ -29,7 +29,7 @@ from kernels.parts import TYPES, Called, Part, element
 
 INTEGERS = {torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8}  # numbers without a fraction
 PLACES_AND_TYPES = {"dtype", "device", "layout", "pin_memory", "memory_format", "implicit", "non_blocking"}
-# whose result depends on the shape and the type of what they are of, but not on its values
+# operations whose result depends on the operand's shape and type, but not on its values
 OF_SHAPE = {
     *(f"{kind}_like" for kind in ("zeros", "ones", "full", "empty")),
     *(f"new_{kind}" for kind in ("zeros", "ones", "full", "empty")),

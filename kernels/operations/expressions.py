@@ -20,7 +20,7 @@ import numpy as np
 
 ELEMENT = re.compile(r"(\w+)\[(\d+)\]")  # of an array in C
 NUMBER, MASK = "number", "mask"
-MOST = 120_000  # expressions, which the compiler takes a minute or two for
+MOST = 120_000  # expressions; with so many the compiler takes one to two minutes
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)

@@ -117,8 +117,8 @@ class Strays(NamedTuple):
 def between(start: Tensor, end: Tensor, off: Strays, c: Limits, free: FreeFlight) -> Tensor:
     """Returns lower bounds of the limits of motion between two nodes (6, ...) of a path: (7, ...), see the module.
 
-    They have the order and units of `TRANSLATIONAL`, but for velocity: v_max - |v_i| in m/s. Where a root has no real
-    value, -NEVER takes its place, so that the result is far below zero.
+    They have the order and units of `TRANSLATIONAL`, except for velocity: v_max - |v_i| in m/s. Where a root has no
+    real value, -NEVER takes its place, so that the result is far below zero.
 
     Args:
         off: how far the path is off the chord.

@@ -314,7 +314,7 @@ class Places(NamedTuple):
         return reduce(torch.add, [n * m for n, m in zip(self.normals, multiplier, strict=True)])
 
     def apart(self, x: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Returns the part of x (3, N) across the basis, and those along it; nearly parallel rows need two passes."""
+        """Returns the part of x (3, N) across the basis and the parts along it; two passes for nearly parallel rows."""
         along = [torch.zeros_like(x[0])] * len(self.basis)
         for _ in range(2):
             more = [total(q * x, 0) for q in self.basis]

@@ -239,7 +239,7 @@ def implementation(safety_filter: SafetyFilter) -> str:
     )
 
 
-# what is compared and flown
+# the test's vectors, and the example's model
 
 
 def vectors_header(safety_filter: SafetyFilter) -> str:
