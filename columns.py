@@ -17,11 +17,11 @@ import torch
 from torch import Tensor
 
 R = TypeVar("R", bound=Tensor | Sequence[Tensor])
-LEAST_LONG = 64  # an axis of less may be as long as another one
+LEAST_LONG = 64  # a shorter axis may be as long as another one
 
 
 class Recorders(threading.local):
-    """What records the functions of this thread, the innermost last; each has methods like the functions below."""
+    """Holds the recorders of this thread's functions, the innermost last; each has methods like the functions below."""
 
     def __init__(self) -> None:
         self.all: list[Any] = []
@@ -45,8 +45,8 @@ def loop(
         body: returns the next state, and in which columns to go on, (B,) bool.
         given: tensors (..., B) or anything else, the same each time.
         alive: (B,) bool, the columns to begin with; most: the largest number of calls.
-        waits: in C, other columns take the lanes of those that have ended, see `kernels.waiting`. It counts in the
-            function that is compiled, and in the bodies of its waiting loops; inside what they `call` it is ignored.
+        waits: in C, other columns take the lanes of columns that have ended, see `kernels.waiting`. It counts only in
+            the compiled function and in the bodies of its waiting loops; functions that they `call` ignore it.
         long: length of an axis that the body loops over, see `kernels.printer.printed`.
     """
     if ACTIVE.all:
@@ -87,7 +87,7 @@ def when(
 
 
 def call(function: Callable[..., R], *given: Any, long: int = 0, name: str = "") -> R:
-    """Returns `function(*given)`; in C it is a function of that name, printed once. Arguments as of `when`."""
+    """Returns `function(*given)`; in C it is a function of this name, printed once. Arguments as in `when`."""
     if ACTIVE.all:
         return ACTIVE.all[-1].call(function, given, long, name)
     return function(*given)
@@ -99,12 +99,12 @@ def picked(given: Sequence[Any], columns: Tensor) -> list[Any]:
 
 
 def pick(x: Tensor, columns: Tensor) -> Tensor:
-    """x[..., columns], up to twenty times as fast as index_select along the last dimension."""
+    """Returns x[..., columns], up to twenty times faster than index_select along the last dimension."""
     return x.gather(-1, columns.expand(*x.shape[:-1], -1))
 
 
 def put(x: Tensor, columns: Tensor, values: Tensor) -> None:
-    """x[..., columns] = values, the counterpart of `pick`."""
+    """Sets x[..., columns] = values, the counterpart of `pick`."""
     x.scatter_(-1, columns.expand_as(values), values)
 
 
@@ -126,10 +126,10 @@ def tensors_in(given: Any) -> list[Tensor]:
 
 
 def has_tensors(given: Any) -> bool:
-    """Whether something is a tensor, or a tuple or a list that holds one."""
+    """Checks whether something is a tensor, or a tuple or a list that holds one."""
     return bool(tensors_in(given))
 
 
 def if_long(length: int) -> int:
-    """`long` for an axis of any length: 0 where another one may be as long, so that it is written out."""
+    """Returns `long` for an axis: its length, or 0, so that it is written out, if another one may be as long."""
     return length if length >= LEAST_LONG else 0

@@ -1,4 +1,4 @@
-"""Numbers that do not depend on PyTorch's mode of the moment."""
+"""Numbers that do not depend on the caller's PyTorch modes."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -25,7 +25,7 @@ def in_full_precision(function: Callable[P, R]) -> Callable[P, R]:
         with ExitStack() as modes:
             if torch.is_inference_mode_enabled():
                 modes.enter_context(torch.inference_mode(False))
-                modes.enter_context(torch.no_grad())  # which inference mode implies
+                modes.enter_context(torch.no_grad())  # inference mode implies it
             for device in rounding:
                 modes.enter_context(torch.autocast(device, enabled=False))
             return function(*args, **kwargs)

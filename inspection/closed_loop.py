@@ -13,16 +13,16 @@ from inspection.world.plant import Plant
 
 ROUNDING = 1e-9  # s
 
-# Who commands: a function of time in s and states (16, B) to desired controls (6, B) in N and N m.
+# Maps time in s and states (16, B) to desired controls (6, B) in N and N m.
 Controller = Callable[[float, Tensor], Tensor]
 
 
 class Correction(Protocol):
-    """What a control filter returns.
+    """Describes what a control filter returns.
 
     Attributes:
         control: (6, B) in N and N m, to be applied.
-        intervened: (B,) bool, it is another one than was desired.
+        intervened: (B,) bool, whether the control differs from the desired one.
         h: (constraints, B) values at the states that the filter was shown.
     """
 
@@ -33,13 +33,13 @@ class Correction(Protocol):
 
 @dataclass(frozen=True)
 class Safety:
-    """What the task is told about safety; any functions of the state will do.
+    """Holds what the task knows about safety; any functions of the state will do.
 
     Attributes:
         names: one name per constraint.
         values: maps states (16, B) to constraint values (len(names), B), negative where violated.
         is_safe: maps states (16, B) to (B,) bool, whether an episode may start there.
-        correct: maps states and desired controls (6, B) to a `Correction`; None applies what is desired.
+        correct: maps states and desired controls (6, B) to a `Correction`; None applies the desired controls.
         period: s between two calls of `correct`.
         takes_plant_data: `correct` also takes `inspection.world.plant.Plant.filter_inputs`, by name.
     """
@@ -54,18 +54,18 @@ class Safety:
 
 @dataclass(frozen=True)
 class Clocks:
-    """What happens how often in a closed loop, in s.
+    """Holds the periods of a closed loop, in s.
 
     Attributes:
         decision: between two decisions of the controller.
         report: the longest time between two `Hold`s.
         substep: the longest step of the plant.
         filter: between two calls of the filter; None without one.
-        look: between two looks at what else changes with time; None: nothing is looked at.
+        look: between two looks at the chief; None: the chief is not looked at.
 
     Raises:
-        ValueError: one of them is no multiple of another that is shorter, or the filter is called less often than is
-            looked, where each step of an environment would call it anew.
+        ValueError: a period is no multiple of a shorter one, or the filter's period does not divide the time between
+            looks, so that each step of an environment would begin a new filter period.
     """
 
     decision: float
@@ -101,40 +101,40 @@ class Clocks:
 
     @property
     def hold(self) -> float:
-        """The longest time in which nothing but the plant acts."""
+        """Returns the longest time in s in which only the plant acts."""
         return min(self.control, self.decision, self.report)
 
     @property
     def control(self) -> float:
-        """The time for which a control is held: a call of the filter gives one, without a filter a decision."""
+        """Returns the time in s for which a control is held: until the next filter call, else decision."""
         return self.filter or min(self.decision, self.look or self.decision)
 
     @property
     def step(self) -> float:
-        """Of the plant, however often it is looked at."""
+        """Returns the plant's step in s, which does not depend on how often the plant is looked at."""
         return min(self.substep, self.control)
 
     def count(self, duration: float) -> int:
-        """How many holds fill a duration in s; raises ValueError where the reports do not end with it."""
+        """Returns how many holds fill a duration in s; raises ValueError if it is no multiple of the report period."""
         if not is_multiple(duration, self.report):
             raise ValueError(f"a duration of {duration:g} s: must be a multiple of {self.report:g} s")
         return round(duration / self.hold)
 
 
 class Hold(NamedTuple):
-    """A time in which the control is held.
+    """Describes a time in which the control is held.
 
     Attributes:
-        time, end: at which it begins and ends, seconds: how long it is, in s.
-        state: (16, B) at its beginning; after: at its end. Both are true states. Within a step of the plant they are
-            read by a shorter step, which is not flown on.
+        time, end: when it begins and ends, in s; seconds: its length in s.
+        state: (16, B) at its beginning; after: (16, B) at its end. Both are true states. A state within a step of the
+            plant is computed by a shorter step; the plant does not continue from it.
         desired: (6, B) by the controller, or, between two of its decisions, the filter's last control.
-        applied: (6, B) that the actuators are told.
-        correction: the filter's answer, where it was called at `time`.
-        decided: the controller was evaluated at `time`.
+        applied: (6, B) sent to the actuators.
+        correction: the filter's answer, if it was called at `time`.
+        decided: whether the controller was evaluated at `time`.
         seen: (16, B) the states as controller and filter last saw them.
-        acting: (6, B) what acts on the plant, the mean over the time.
-        missed: (B,) bool, the call at `time` was missed, so that `applied` is the last control; None: none was.
+        acting: (6, B) the mean over the hold of what acts on the plant.
+        missed: (B,) bool, whether the call at `time` was missed, so that `applied` is the last control; None: none was.
     """
 
     time: float
@@ -165,21 +165,21 @@ def closed_loop(
     """Flies from states x (16, B) for a duration in s.
 
     Args:
-        controller: of the desired controls.
-        correct: the filter; None applies what is desired.
-        integrate: states (16, B) after a control (6, B) has acted for a step of the plant, or for less to read them.
-        plant: what differs from the model; None: nothing, states are seen as they are and controls act as they are.
+        controller: gives the desired controls.
+        correct: the filter; None applies the desired controls.
+        integrate: returns the states (16, B) after a control (6, B) has acted for a step of the plant, or for less.
+        plant: differences from the model; None: states are seen as they are, and controls act as commanded.
         start: the episodes' time at the beginning, (B,) s; None: 0 s.
-        takes_plant_data: the filter also takes what the plant tells.
+        takes_plant_data: the filter also takes `Plant.filter_inputs`.
 
-    A call is one of the filter, without a filter a decision. After a missed call the next one is asked for the same.
-    The plant moves in steps of its own; what is read within a step is not flown on.
+    A call is a call of the filter, or without a filter a decision. After a missed call the next one has the same
+    desired control. The plant moves in steps of its own; it does not continue from a state that is read within a step.
     """
     hold = clocks.hold
     decisions, calls = (max(1, round((every or hold) / hold)) for every in (clocks.decision, clocks.filter))
     applied = next_desired = x.new_zeros(CONTROL_SIZE, *x.shape[1:])
     seen, start = x, torch.zeros_like(x[0]) if start is None else start
-    step, steps, flown = clocks.step, 0, x  # the plant's state after so many steps
+    step, steps, flown = clocks.step, 0, x  # `flown`: the plant's state after `steps` steps
 
     def acts(time: float, u: Tensor) -> Tensor:
         return plant.actuate(start + time, u) if plant else u
@@ -208,7 +208,7 @@ def closed_loop(
             if begun + step < end + ROUNDING:
                 after = flown = integrate(flown, acting, step)
                 steps += 1
-            else:  # read within a step
+            else:  # the hold ends within a step
                 after = integrate(flown, acting, end - begun)
             acted.append((acting, until - moment))
             moment = until
@@ -218,7 +218,7 @@ def closed_loop(
 
 
 def mean(parts: list[tuple[Tensor, float]]) -> Tensor:
-    """Returns the mean over time of tensors that hold for so many s each."""
+    """Returns the mean over time of tensors that hold for the given s each."""
     if len(parts) == 1:
         return parts[0][0]
     total = sum(seconds for _, seconds in parts)
@@ -226,10 +226,10 @@ def mean(parts: list[tuple[Tensor, float]]) -> Tensor:
 
 
 class Smallest:
-    """The smallest values that what is checked has had so far, such as constraints along a `closed_loop`.
+    """Keeps the smallest values so far, such as those of constraints along a `closed_loop`.
 
     Args:
-        count: how many are checked; x: (..., B), for how many episodes, its device and precision.
+        count: how many values are checked; x: (..., B), which gives the episodes, device and precision.
 
     Attributes:
         value: (count, B), infinite at first; when: (count, B) in s.
@@ -240,7 +240,7 @@ class Smallest:
         self.when = torch.zeros_like(self.value)
 
     def note(self, values: Tensor, time: float = 0.0) -> Tensor:
-        """Takes down values (count, B) at a time in s; returns them with minus infinity in the place of NaN."""
+        """Records values (count, B) at a time in s; returns them with minus infinity in place of NaN."""
         values = torch.where(values.isnan(), -torch.inf, values)
         self.when = torch.where(values < self.value, time, self.when)
         self.value = torch.minimum(self.value, values)
@@ -248,5 +248,5 @@ class Smallest:
 
 
 def is_multiple(a: float, b: float) -> bool:
-    """Whether a is a whole multiple of b, to rounding."""
+    """Checks whether a is a whole multiple of b, to rounding."""
     return round(a / b) >= 1 and abs(a / b - round(a / b)) < 1e-9

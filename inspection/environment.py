@@ -25,7 +25,7 @@ from inspection.world.parameters import PlantParameters
 from inspection.world.plant import Plant
 from precision import in_full_precision
 
-# A function of one column's examples, compiled for about `batch` columns, with loops over an axis of length `long`.
+# Compiles a function by one column's examples for about `batch` columns, with loops over an axis of length `long`.
 Compiler = Callable[..., Callable[..., list[Tensor]]]
 
 
@@ -35,9 +35,9 @@ def clocks_of(
     decide_every: float | None = None,
     report_every: float | None = None,
 ) -> Clocks:
-    """The clocks of an `InspectionEnv` behind a filter of that period.
+    """Returns the clocks of an `InspectionEnv` behind a filter of the given period.
 
-    The chief is looked at every action period, and whether an episode failed after every integration step.
+    The chief is looked at every action period. Failures are checked after every integration step.
     """
     every = c.action_period
     report = report_every or min(c.substep, decide_every or every, filter_period or every)
@@ -45,29 +45,28 @@ def clocks_of(
 
 
 class InspectionEnv(Fixed):
-    """A batch of inspection episodes.
+    """Runs a batch of inspection episodes.
 
-    Seed k owns the columns k E to (k+1) E, and all draws for them come from generators[k], so that its
-    episodes do not depend on how many other seeds run beside it.
+    Seed k owns the columns k E to (k+1) E, and all its draws come from generators[k]. So its episodes do not depend on
+    how many other seeds run beside it. The arguments cannot be changed later.
 
     Args:
         num_envs: episodes per seed, E.
         parameters: the task's constants.
         generators: one per seed, on the device of the batch.
-        safety: constraint values, admissible starts and the control filter.
+        safety: constraint values, admissible initial states and the control filter.
         decide_every: s between two decisions of a controller; None: the action period.
-        report_every: the longest time in s between two holds that are reported; None: the plant's step.
-        plant: in what the plant differs from `parameters`; None: in nothing.
+        report_every: the longest time in s between two reported holds; None: the plant's step.
+        plant: the plant's differences from `parameters`; None: none.
         target: the chief; None: the paper's.
+        privileged: observations also hold what a critic is shown, see `inspection.privileged`.
 
     Attributes:
         x: true states (16, B); time: (B,) s, since the episodes began.
         sight: what has been seen of the chief.
-        clocks: how often what happens.
-        plant: of each episode; None: the model.
-        progress: share of a training that is done, see `reward.shaping`.
-
-    The arguments cannot be changed later.
+        clocks: the periods of the closed loop.
+        plant: the plants of the episodes; None: the model.
+        progress: share of training that is done, see `reward.shaping`.
 
     Raises:
         ValueError: the clocks do not divide, or the plant does not fit the parameters.
@@ -97,7 +96,7 @@ class InspectionEnv(Fixed):
         def zeros(*shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
             return torch.zeros(*shape, batch, dtype=dtype, device=device)
 
-        self.x = zeros(SIZE)  # first of all: it is refused where there is no room for the others
+        self.x = zeros(SIZE)  # allocated first, so that a batch beyond the memory fails here
         made: Plant | None = None
         if plant is not None and not plant.is_nominal:
             kind = BasiliskPlant if plant.simulator == "basilisk" else Plant
@@ -131,11 +130,11 @@ class InspectionEnv(Fixed):
     STATE = ("x", "time", "steps", "totals", "violation_steps", "any_violation_steps")
 
     def _kept(self) -> list[tuple[Any, str]]:
-        """The attributes that a resumed run needs, and whose they are."""
+        """Returns the attributes that a resumed run needs, with their owners."""
         return [(part, name) for part in (self, self.sight) for name in part.STATE]
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything a resumed run needs beside the generators' states, as tensors."""
+        """Returns all tensors that a resumed run needs, except the states of the generators."""
         own: dict[str, Any] = {name: getattr(part, name).clone() for part, name in self._kept()}
         if self.plant:
             own["plant"] = self.plant.state_dict()
@@ -145,7 +144,7 @@ class InspectionEnv(Fixed):
 
     @in_full_precision
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restores `state_dict`; raises KeyError or ValueError where it does not fit."""
+        """Restores `state_dict`; raises KeyError or ValueError if it does not fit."""
         for part, name in self._kept():
             own, saved = getattr(part, name), state[name]
             if (own.shape, own.dtype) != (saved.shape, saved.dtype):
@@ -165,7 +164,7 @@ class InspectionEnv(Fixed):
         """Compiles integration, observation, constraint values, visibility and k-means for about as many episodes.
 
         Args:
-            compiler: such as `kernels.compiled.Compiled`. Where it raises, nothing is changed.
+            compiler: such as `kernels.compiled.Compiled`. If it raises, nothing is changed.
         """
         own = {"_normalised": self._compiled(compiler, self._normalised, self.x, *self.sight.observed())}
         if not (self.plant and not self.plant.is_recordable):
@@ -188,7 +187,7 @@ class InspectionEnv(Fixed):
         *examples: Tensor,
         points: int | None = None,
     ) -> Callable[..., list[Tensor]]:
-        """A function compiled for tensors like the examples, with loops over so many points, None: all of them."""
+        """Returns a function compiled for tensors like the examples, with loops over `points` points, None: all."""
         columns = [example[..., :1] for example in examples]
         return compiler(
             function,
@@ -204,7 +203,7 @@ class InspectionEnv(Fixed):
         *examples: Tensor,
         points: int | None = None,
     ) -> Callable[..., Tensor]:
-        """A function to one tensor, compiled for tensors like the examples; `points` as of `_several`."""
+        """Returns a function with one result compiled for tensors like the examples; `points` as in `_several`."""
         run = self._several(compiler, lambda *tensors: [function(*tensors)], *examples, points=points)
         return lambda *tensors, **times: run(*tensors, **times)[0]
 
@@ -212,11 +211,11 @@ class InspectionEnv(Fixed):
     def reset(
         self, mask: Tensor | None = None, x: Tensor | None = None, priority: Tensor | None = None
     ) -> Tensor:
-        """Starts episodes anew, where mask (B,) is set or all; returns observations of all.
+        """Restarts the episodes where mask (B,) is set, or all; returns observations of all.
 
         Args:
-            x: states (16, B) and priority: unit vectors (3, B) that they start from; None: drawn from the initial
-                distribution. What else is drawn does not depend on these.
+            x: initial states (16, B) and priority: unit vectors (3, B); None: drawn from the initial distribution. The
+                other draws do not depend on these two.
         """
         everyone = torch.ones_like(self.time, dtype=torch.bool)
         self._restart(everyone if mask is None else mask, x, priority)
@@ -235,16 +234,16 @@ class InspectionEnv(Fixed):
 
     @property
     def _bodies(self) -> tuple[Tensor, ...]:
-        """What the integration takes beside states and controls."""
+        """Returns the tensors that the integration takes beside states and controls."""
         return (self.plant.body,) if self.plant else ()
 
     @in_full_precision
     def observation(
         self, seen: Tensor | None = None, columns: Tensor | slice = ALL, score: Tensor | None = None
     ) -> Tensor:
-        """Normalised observations (k, size) float32 of the given columns, of what has been seen of the chief so far.
+        """Returns normalised observations (k, size) float32 of the given columns, by what has been seen so far.
 
-        If the environment is `privileged`, what a critic is shown beside them follows.
+        If the environment is `privileged`, the critic's additional inputs follow.
 
         Args:
             seen: states (16, B) as they are sensed, which a controller is shown; None: the present ones.
@@ -259,14 +258,14 @@ class InspectionEnv(Fixed):
         return torch.cat((observed, known.T.float()), 1)
 
     def control(self, action: Tensor) -> Tensor:
-        """An action (B, 6) in units of the actuators' limits as a control (6, B) in N and N m, clipped to them."""
+        """Returns an action (B, 6) in actuator limits as a control (6, B) in N and N m, clipped to the limits."""
         return action.T.to(self.x.dtype).clamp(-1.0, 1.0) * self.limit
 
     @in_full_precision
     def step(
         self, command: Tensor | Controller, watch: Callable[[Hold], None] = lambda hold: None
     ) -> Transition:
-        """Flies every episode for one action period; those that end begin anew.
+        """Flies every episode for one action period and restarts the episodes that end.
 
         Args:
             command: actions (B, 6), thrust and torque in units of the actuators' limits, clipped to [-1, 1] and held;
@@ -309,7 +308,7 @@ class InspectionEnv(Fixed):
             observation=observation,
             final_observation=observation,
             state=self.x,
-            inspected=self.sight.inspected.clone(),  # which the next look writes into
+            inspected=self.sight.inspected.clone(),  # the next look writes into the original
             reward=sum(own.values(), reward),
             reward_terms=terms | own,
             terminated=terminated,
@@ -334,12 +333,12 @@ class InspectionEnv(Fixed):
     def fly(
         self, controller: Controller, duration: float, x: Tensor | None = None, time: Tensor | None = None
     ) -> Iterator[Hold]:
-        """Runs the closed loop for a duration in s; no episode ends, and none is paid.
+        """Runs the closed loop for a duration in s, without ends of episodes and without rewards.
 
-        After the last hold of every action period, once it is handed out, the chief is looked at.
+        After the last hold of every action period, once it is yielded, the chief is looked at.
 
         Args:
-            x: states (16, B) to fly from at times (B,) in s, which leave the episodes as they are; None: the episodes'.
+            x: states (16, B) to fly from at times (B,) in s, without changing the episodes; None: the episodes' states.
         """
         holds = closed_loop(
             self.x if x is None else x,
@@ -359,38 +358,38 @@ class InspectionEnv(Fixed):
 
     @in_full_precision
     def integrate(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
-        """The states (16, B) after u has acted for whole steps of the plant, or as they are read within a step."""
+        """Returns the states (16, B) after u has acted for whole steps of the plant, or for a part of a step."""
         if is_multiple(seconds, self.clocks.step):
             return self._integrate(x, u, *self._bodies, times=round(seconds / self.clocks.step))
         return self._read(x, u, *self._bodies, torch.full_like(x[0], seconds))
 
     @in_full_precision
     def constraint_values(self, x: Tensor) -> Tensor:
-        """Constraint values (constraints, B) at states (16, B)."""
+        """Returns constraint values (constraints, B) at states (16, B)."""
         if self._values is None:
             return self.x.new_zeros(self.violation_steps.shape)
         return self._values(x)
 
     def _count(self, violated: Tensor) -> Tensor:
-        """What is violated (constraints, B) at this step, added to the episode's counts."""
+        """Adds the violations (constraints, B) bool of this step to the episodes' counts, and returns them."""
         self.violation_steps += violated
         self.any_violation_steps += violated.any(0)
         return violated
 
     def _metrics(self, score: Tensor) -> Tensor:
-        """(6, B) in the order of METRICS."""
+        """Returns the metrics (6, B) in the order of METRICS."""
         percent = 100.0 * self.any_violation_steps / self.steps
         return torch.stack((score, self.totals[0], self.time, self.totals[1], self.totals[2], percent))
 
     def _restart(self, mask: Tensor, x: Tensor | None = None, priority: Tensor | None = None) -> Tensor:
-        """Draws new initial conditions where mask (B,) is set, each seed's from its own generator; returns where.
+        """Draws initial conditions where mask (B,) is set, each seed's from its own generator; returns these columns.
 
-        States x (16, B) and priority vectors (3, B) that are given take the place of drawn ones.
+        Given states x (16, B) and priority vectors (3, B) replace drawn ones.
         """
         columns = torch.nonzero(mask).flatten()
         counts = torch.bincount(columns // self.num_envs, minlength=len(self.starts)).tolist()
         for starts, own in zip(self.starts, columns.split(counts), strict=True):
-            drawn = starts.take(own.numel())  # none, too: others may be taking theirs
+            drawn = starts.take(own.numel())  # called for 0, too: supplies that share a sequence stay in step
             if own.numel():
                 fixed = (each if each is None else each[:, own] for each in (x, priority))
                 states = (a if b is None else b for a, b in zip(drawn[:2], fixed, strict=True))
@@ -408,7 +407,7 @@ class InspectionEnv(Fixed):
         self.sight.begin(columns, self.x[:, columns], priority, number)
 
     def _corrected(self, holds: Sequence[Hold]) -> Tensor:
-        """(B,) share of the filter's calls that it corrected, where agents are paid for that."""
+        """Returns the share (B,) of the filter's calls that it corrected; zeros if no reward term needs it."""
         corrected, answered = torch.zeros_like(self.time), torch.zeros_like(self.time)
         for hold in holds if self.c.correction_reward else ():
             if hold.correction is not None:
@@ -419,7 +418,7 @@ class InspectionEnv(Fixed):
         return corrected / answered.clamp(min=1.0)
 
     def _truths(self, holds: Sequence[Hold]) -> list[tuple[Tensor, Tensor]] | None:
-        """`Transition.truths`."""
+        """Returns `Transition.truths`."""
         if not self.plant:
             return None
         return [
@@ -430,13 +429,13 @@ class InspectionEnv(Fixed):
 
 
 def failed_in(holds: Sequence[Hold], c: InspectionParameters) -> dict[str, Tensor]:
-    """`failures` at the end of any of the holds, (B,) bool by name."""
+    """Returns whether `failures` hold at the end of any of the holds, (B,) bool by name."""
     after = torch.stack([hold.after for hold in holds], 1)  # (16, holds, B)
     return {name: each.any(0) for name, each in failures(after, c).items()}
 
 
 def effort(holds: Sequence[Hold], mass: Tensor | float, c: InspectionParameters) -> tuple[Tensor, Tensor]:
-    """delta v in m/s and mean torque in N m, |F| and |tau| summed over axes, of an action's holds; (B,) each."""
+    """Returns delta v in m/s and mean torque in N m of an action's holds, (B,) each, |F| and |tau| summed over axes."""
     acting = torch.stack([hold.acting for hold in holds]).abs()  # (holds, 6, B)
     thrusts, torques = acting[:, THRUST].sum(1), acting[:, TORQUE].sum(1)
     delta_v, torque_sum = torch.zeros_like(thrusts[0]), torch.zeros_like(torques[0])

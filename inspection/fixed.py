@@ -1,10 +1,10 @@
-"""Objects whose parts depend on each other, so that some attributes are fixed once they are made."""
+"""Objects whose parts depend on each other, so some attributes cannot change after construction."""
 
 from typing import Any
 
 
 class Fixed:
-    """Refuses to change the attributes in FIXED: what was made from their first values would not follow.
+    """Refuses to change the attributes in FIXED, since parts made from their first values would not follow.
 
     Raises:
         AttributeError: such an attribute is set again, or deleted.

@@ -1,4 +1,4 @@
-"""Classical controllers to compare agents with, within the actuators' limits."""
+"""Classical controllers for comparison with agents, within the actuators' limits."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -16,24 +16,22 @@ from inspection.model.parameters import AXES, Limits
 from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, E, P, Q, T, V
 from inspection.orbits import Orbit
 
-POINTING_FREQUENCY = 0.1  # rad/s, of the critically damped pointing law
-ABOVE = (
-    6  # power of the sine of the elevation at which the phase, which nothing has at the pole, stops to count
-)
-HELD = 0.3  # of a law's frequency and the time for which its control is held
-# of the camera off the chief, which stays in view from 50 m on: 30 deg less asin(10 / 50)
+POINTING_FREQUENCY = 0.1  # rad/s, frequency of the critically damped pointing law
+ABOVE = 6  # power of sin(elevation) by which the phase counts less towards the pole, where it is undefined
+HELD = 0.3  # largest product of a law's frequency and the time for which its control is held
+# The camera's largest angle off the chief; the chief stays in view from 50 m on: 30 deg less asin(10 / 50)
 TILT = math.radians(18)
-RATE_SHARE = 0.9  # of the limit of body rates, asked for at most
-LOW = 3.0, 1.0  # energies of half a turn above the battery's limit between which it comes to be low
-GLARE = math.radians(30), math.radians(10)  # of the camera's angle above its limit from the Sun, the same
-ALONG = 8.0  # gain of the roll that lays thrust along a body axis; `roll` says up to which it is stable
-MUCH = 0.01  # N across the camera, from which on that counts in full
-WARM = 3.0, 2.0  # deg C below the limit of temperature between which the shade comes to count alone
-# off the Sun: from where on less and less, then nothing, is worth a look
+RATE_SHARE = 0.9  # the law's largest body rate, as a share of the limit
+LOW = 3.0, 1.0  # energy above its limit, in half turns' energies, between which the battery comes to be low
+GLARE = math.radians(30), math.radians(10)  # camera's angle above its Sun limit between which glare rises
+ALONG = 8.0  # gain of the roll that aligns thrust with a body axis; `roll` gives its stable range
+MUCH = 0.01  # N, thrust across the camera from which on the alignment counts in full
+WARM = 3.0, 2.0  # deg C below the temperature limit between which the roll turns from thrust to shade
+# angles of the deputy off the Sun between which the chief's visible side turns dark
 DUSK = math.radians(90), math.radians(110)
 
-# A tour of every boundary in 2,000 s: from when (s) the LQR's set point is where (m, Hill's frame). Axis velocities
-# reach their limit only beyond 623 m, where the dynamic speed limit is higher; hence the chords.
+# A tour of every boundary in 2,000 s: start in s and position (m, Hill's frame) of each set point of the LQR. The tour
+# has long chords because axis velocities reach their limit only beyond 623 m, where the dynamic speed limit is higher.
 SET_POINTS = (
     (0.0, (750.0, -440.0, 0.0)),  # outside the keep-in zone
     (400.0, (720.0, 640.0, 0.0)),  # along y
@@ -44,7 +42,7 @@ SET_POINTS = (
 
 
 def limited(thrust_hill: Tensor, torque: Tensor, x: Tensor, c: Limits) -> Tensor:
-    """Thrust (3, B) turned into the body frame beside torque (3, B), both clipped to the actuators' limits."""
+    """Returns thrust (3, B), turned into the body frame, and torque (3, B), clipped to the actuators' limits."""
     limit = x.new_tensor(c.control_limit)[:, None]
     u = torch.cat((rotate(conjugate(x[Q]), thrust_hill), torque))
     return torch.maximum(torch.minimum(u, limit), -limit)
@@ -57,7 +55,7 @@ def point(
     c: Limits,
     frequency: float = POINTING_FREQUENCY,
 ) -> Tensor:
-    """PD torque (3, B) that turns a body axis such as "-y" towards a unit vector (3, B) in Hill's frame."""
+    """Returns the PD torque (3, B) that turns a body axis such as "-y" towards a unit vector (3, B) in Hill's frame."""
     target = rotate(conjugate(x[Q]), direction)
     index, sign = AXES[axis]
     pointed = torch.zeros_like(target)
@@ -68,7 +66,10 @@ def point(
 
 
 def lqr_gain(c: Limits) -> np.ndarray:
-    """K (3, 6) of u = -K [p, v]: minimal integral of |p|^2 / (100 m)^2 + |v|^2 / (1 m/s)^2 + |F|^2 / F_max^2."""
+    """Returns the gain K (3, 6) of the LQR u = -K [p, v].
+
+    It minimises the integral of |p|^2 / (100 m)^2 + |v|^2 / (1 m/s)^2 + |F|^2 / F_max^2.
+    """
     n = c.mean_motion
     a = np.zeros((6, 6))
     a[:3, 3:] = np.eye(3)
@@ -80,14 +81,14 @@ def lqr_gain(c: Limits) -> np.ndarray:
 
 
 def scheduled(schedule: Sequence[tuple[float, Any]], t: float) -> Any:
-    """The value of the last entry (start in s, value) that has started at t."""
+    """Returns the value of the last entry (start in s, value) that has started at t."""
     return [value for start, value in schedule if start <= t][-1]
 
 
 def lqr_pd(c: Limits) -> Controller:
-    """LQR from set point to set point, PD that turns side after side into the Sun: past every boundary in turn.
+    """Flies an LQR from set point to set point; a PD law turns side after side into the Sun, past every boundary.
 
-    It stands for the primary controller of the paper's RTA demonstration, of which no more is published.
+    It stands for the primary controller of the paper's RTA demonstration, about which no more is published.
     """
     gain = torch.from_numpy(lqr_gain(c))
     # turns over, blinds the camera, heats the thermal side; all three leave the panels in the dark
@@ -103,16 +104,16 @@ def lqr_pd(c: Limits) -> Controller:
 
 
 def camera_direction(x: Tensor, outward: Tensor, sun: Tensor, c: Limits) -> Tensor:
-    """Where the camera is to look, a unit vector (3, B): at the chief as far as power allows, and never at the Sun.
+    """Returns the camera's target direction (3, B): to the chief as far as power allows, and never to the Sun.
 
-    From the chief it is turned away from the Sun until the panels on its back make the power drawn, at most by TILT,
-    with the chief in view. On the dark side, while the battery is low and where the Sun is near the camera it is turned
-    further, up to straight away from the Sun.
+    From the chief the camera is turned away from the Sun until the panels on its back make the power drawn, at most by
+    TILT, with the chief in view. It is turned further, up to straight away from the Sun, on the dark side, while the
+    battery is low, and where the Sun is near the camera.
 
     Args:
         outward, sun: unit vectors (3, B) from the chief and to the Sun.
     """
-    # kJ, at most, in the dark
+    # kJ that half a turn in the dark takes at most
     half_a_turn = math.pi * (c.power_draw / 1000.0 / c.max_rate + c.energy_sun_slope)
     low = (LOW[0] - (x[E] - c.min_energy) / half_a_turn) / (LOW[0] - LOW[1])
     angle = dot(outward, sun).clamp(-1.0, 1.0).arccos()
@@ -127,22 +128,22 @@ def camera_direction(x: Tensor, outward: Tensor, sun: Tensor, c: Limits) -> Tens
 
 
 def tilted(outward: Tensor, sun: Tensor, tilt: Tensor) -> Tensor:
-    """The unit vector (3, ...) to the chief, turned off the Sun by (...) rad; arguments as of `camera_direction`."""
+    """Returns the unit vector (3, ...) to the chief, turned away from the Sun by (...) rad; see `camera_direction`."""
     across = unit(sun - dot(outward, sun) * outward)
     return -(outward * tilt.cos() + across * tilt.sin())
 
 
 def roll(x: Tensor, light: Tensor, thrust: Tensor, c: Limits) -> Tensor:
-    """The error (B,) of the roll about the camera: a body axis to the thrust, or the thermal side away from the Sun.
+    """Returns the roll error (B,) about the camera: a body axis to the thrust, or the thermal side away from the Sun.
 
-    Fuel is the sum of |F| over the body's axes, so the part of the thrust across the camera, of size F at the angle phi
-    from y to z, costs least along one of them. A roll by psi turns phi into phi - psi. So an error of
-    g sin(4 phi) / 4 brings the nearest axis there: it is zero at each, with slope g, and half way between two. With
-    it, the law of `natural_motion` that is held multiplies angle and rate T by
-    [[1 - g h^2 / 2, 1 - h], [-g h^2, 1 - 2 h]], which is stable for h < 1 and g h < 4 (Jury): ALONG HELD = 2.4.
+    Fuel is the sum of |F| over the body's axes. So the part of the thrust across the camera, of size F at the angle phi
+    from y to z, costs least along one of these axes. A roll by psi turns phi into phi - psi. So an error of g sin(4
+    phi) / 4 brings the nearest axis to the thrust: it is zero at each axis, with slope g, and half way between two.
+    With this error, the held law of `natural_motion` multiplies angle and rate T by [[1 - g h^2 / 2, 1 - h], [-g h^2, 1
+    - 2 h]]. That is stable for h < 1 and g h < 4 (Jury); here ALONG HELD = 2.4.
 
-    Where little thrust is wanted, or the temperature is near its limit, the roll is to the shade instead. The two are
-    mixed by shares whose sum is 1, so that no slope exceeds g.
+    Where little thrust is wanted, or the temperature is near its limit, the roll turns the thermal side away from the
+    Sun instead. The two errors are mixed by shares whose sum is 1, so that no slope exceeds g.
 
     Args:
         light: unit vector (3, B) to the Sun; thrust: (3, B) in N, both in the body frame.
@@ -150,7 +151,7 @@ def roll(x: Tensor, light: Tensor, thrust: Tensor, c: Limits) -> Tensor:
     cold = torch.zeros_like(light)
     index, sign = AXES[c.thermal_axis]
     cold[index] = -sign
-    size = dot(thrust[1:], thrust[1:]).clamp(min=1e-18).sqrt()  # whose slope is finite at zero, too
+    size = dot(thrust[1:], thrust[1:]).clamp(min=1e-18).sqrt()  # clamped for a finite slope at zero
     y, z = thrust[1:] / size
     warm = (WARM[0] - (c.max_temperature - x[T])) / (WARM[0] - WARM[1])
     share = (size / MUCH).clamp(max=1.0) * (1.0 - warm.clamp(0.0, 1.0))
@@ -161,14 +162,14 @@ def roll(x: Tensor, light: Tensor, thrust: Tensor, c: Limits) -> Tensor:
 def pointing_torque(
     x: Tensor, direction: Tensor, sun: Tensor, c: Limits, frequency: float, thrust: Tensor | None = None
 ) -> Tensor:
-    """PD torque (3, B) that turns the camera to a unit vector (3, B), and rolls about it.
+    """Returns the PD torque (3, B) that turns the camera to a unit vector (3, B), and rolls about the camera.
 
-    Unlike that of `point` its error, 2 sin(angle / 2), does not vanish where the camera looks the other way, and the
-    rates that it asks for keep within the limit: that of the roll, and that of the camera, which no roll delays.
+    Its error is 2 sin(angle / 2), which, unlike the error of `point`, does not vanish where the camera looks the other
+    way. The desired rates stay within the limit: the rate of the roll, and the camera's rate, which no roll delays.
 
     Args:
         direction, sun: unit vectors (3, B) in Hill's frame, where to look and to the Sun.
-        thrust: (3, B) in N in Hill's frame, along which to `roll` a body axis; None: none is wanted.
+        thrust: (3, B) in N in Hill's frame, along which to `roll` a body axis; None: no thrust.
     """
     thrust = torch.zeros_like(direction) if thrust is None else thrust
     target, light, wanted = (rotate(conjugate(x[Q]), each) for each in (direction, sun, thrust))
@@ -183,26 +184,26 @@ def pointing_torque(
 
 
 def pointing_frequency(every: float) -> float:
-    """The frequency in rad/s at which a pointing law may be held for so many s, see `natural_motion`."""
+    """Returns the frequency in rad/s of a pointing law whose control is held for `every` s, see `natural_motion`."""
     return min(POINTING_FREQUENCY, HELD / every)
 
 
 def balanced(c: Limits) -> float:
-    """The panels' angle to the Sun in rad at which they make the power drawn; 0 where they never make more."""
+    """Returns the panels' angle to the Sun in rad at which they make the power drawn; 0 if they never make more."""
     return math.acos(min(1.0, c.power_draw / brightest(c)))
 
 
 def brightest(c: Limits) -> float:
-    """The power that panels make which face the Sun, in W."""
+    """Returns the power in W of panels that face the Sun."""
     return c.panel_performance * c.panel_degradation * c.surface_area
 
 
 def target_along_ellipse(p: Tensor, wanted: Tensor, orbit: Orbit, n: float) -> tuple[Tensor, Tensor]:
-    """The point of the ellipse at most `look_ahead` of phase from p (3, B) towards the phase wanted (B,).
+    """Returns the ellipse's point at most `look_ahead` of phase from p (3, B) towards the wanted phase (B,).
 
     Returns:
         the point and its velocity in free motion, each (3, B). Above or below the chief a position has no phase, and
-        nothing is in the way: there the point is that of the phase wanted itself.
+        nothing is in the way: there the point is the one of the wanted phase.
     """
     a, b = orbit.out_of_plane, orbit.semi_minor
     phase = torch.atan2(p[1] / 2, p[0])
@@ -215,11 +216,12 @@ def target_along_ellipse(p: Tensor, wanted: Tensor, orbit: Orbit, n: float) -> t
 
 
 def target_on_great_circle(p: Tensor, wanted: Tensor, orbit: Orbit, n: float) -> tuple[Tensor, Tensor]:
-    """The point at most `look_ahead` from p (3, B) on the great circle towards the ellipse's at the phase wanted (B,).
+    """Returns a point at most `look_ahead` from p (3, B), on the great circle to the wanted phase (B,) of the ellipse.
 
-    The circle is around the chief where the along-track axis is shrunk by half, which makes the ellipse a circle, too.
-    So the way leads over a pole where that is shorter, and depends continuously on where it begins but opposite to its
-    end, which a copy can learn. `target_along_ellipse` turns back where the phase is half a turn from the one wanted.
+    The circle is around the chief in coordinates whose along-track axis is shrunk by half, where the ellipse is a
+    circle, too. So the path leads over a pole where that is shorter. It depends continuously on its beginning, except
+    opposite to its end; a network can learn that. `target_along_ellipse` instead turns back where the phase is half a
+    turn from the wanted one.
 
     Returns:
         the point and its velocity in a free motion of the ellipse's tilt, each (3, B).
@@ -241,16 +243,18 @@ def natural_motion(
     score: Callable[[], Tensor] | None = None,
     rolls: bool = True,
 ) -> Controller:
-    """PD law towards the relative ellipse x = b cos(phi), y = 2 b sin(phi), z = a sin(phi) at phi = theta_S - lead.
+    """Flies a PD law to the relative ellipse x = b cos(phi), y = 2 b sin(phi), z = a sin(phi) at phi = theta_S - lead.
 
-    The ellipse is a free motion of the Clohessy-Wiltshire equations that turns with the Sun, so that holding
-    it costs almost no fuel. With a > 0 it keeps min(a, b) from the whole line through the chief along the track, so
-    that no drift along it ends in a collision (D'Amico and Montenbruck 2006: eccentricity and inclination vectors
-    apart). Away from the phase wanted the target is a point a little ahead, so that the way leads around the chief:
-    without a lead along the ellipse (`target_along_ellipse`), with one on a great circle (`target_on_great_circle`).
-    Without a lead the camera is on the chief where panels on its back then make the power drawn, and elsewhere turned
-    away from the Sun, which charges the battery. With one, `camera_direction` says where it looks, and
-    `pointing_torque` how it turns there.
+    The ellipse is a free motion of the Clohessy-Wiltshire equations that turns with the Sun, so staying on it costs
+    almost no fuel. With a > 0 it stays at least min(a, b) from the whole line along the track through the chief, so
+    that no drift along this line ends in a collision (D'Amico and Montenbruck 2006: eccentricity and inclination
+    vectors apart). Away from the wanted phase the target is a point a little ahead, so that the path leads around the
+    chief: without a lead along the ellipse (`target_along_ellipse`), with a lead on a great circle
+    (`target_on_great_circle`).
+
+    Without a lead the camera looks at the chief where the panels on its back then make the power drawn. Elsewhere it
+    looks away from the Sun, which charges the battery. With a lead, `camera_direction` gives the direction, and
+    `pointing_torque` the torque.
 
     Args:
         every: s for which a control is held, T. The critically damped law, of frequency w, then multiplies angle and
@@ -280,7 +284,7 @@ def natural_motion(
         nearing = error * torch.minimum(limit / norm(error).clamp(min=1e-9), torch.ones_like(limit) * (w / 2))
         thrust = (
             2 * w * c.mass * (nearing + velocity - x[V])
-        )  # the law w^2 error + 2 w error' up to the limit
+        )  # the law w^2 error + 2 w error', with the approach speed limited
         if lead:
             torque = pointing_torque(
                 x, camera_direction(x, outward, sun, c), sun, c, pointing, thrust if rolls else None
@@ -305,12 +309,12 @@ def recorded(actions: np.ndarray, step: float) -> Controller:
 
 
 def zero() -> Controller:
-    """No control at all."""
+    """Applies no control."""
     return lambda t, x: x.new_zeros(CONTROL_SIZE, x.shape[1])
 
 
 def random(c: Limits, generator: torch.Generator) -> Controller:
-    """Uniformly random controls, drawn anew at every call."""
+    """Draws uniformly random controls anew at every call."""
 
     def control(t: float, x: Tensor) -> Tensor:
         draw = torch.rand(CONTROL_SIZE, x.shape[1], generator=generator, dtype=x.dtype)

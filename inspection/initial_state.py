@@ -11,12 +11,12 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import SIZE, THETA_S, E, P, Q, T
 from precision import in_full_precision
 
-# The filter rejects at most 0.29 of the attitudes at any of 4000 starts of the paper, so 100 draws always found one; a
-# constraint on position may reject them all.
+# The filter rejects at most 29 % of the attitudes at any of 4000 initial states of the paper, so 100 draws always found
+# an accepted one; a constraint on position may reject all attitudes.
 MAX_ATTITUDES = 100
 MAX_STATES = 1000
-# Where so many whole states in a row were rejected, the rest of MAX_STATES would be drawn in vain: below a chance of
-# 1e-20 for any distribution and number of states, a draw that would have found them all does not come that far.
+# After so many rejected whole states in a row, drawing stops before MAX_STATES. For any distribution and number of
+# states, a draw that would have found all of them gets that far with a chance below 1e-20.
 IN_VAIN = 20_000
 POOL = 2048
 
@@ -30,7 +30,7 @@ def sample_initial_state(
 ) -> tuple[Tensor, Tensor]:
     """Draws states at rest and priority vectors until `is_safe` accepts them.
 
-    First only attitudes are redrawn, then, where none of MAX_ATTITUDES was accepted, states as a whole.
+    At first only attitudes are redrawn. Where none of MAX_ATTITUDES was accepted, whole states are redrawn.
 
     Args:
         count: number of states.
@@ -81,14 +81,15 @@ def sample_initial_state(
 
 
 class InitialStates:
-    """A seed's endless supply of initial states, drawn POOL at a time because few are needed at once.
+    """Supplies a seed's initial states without end, drawn POOL at a time because few are needed at once.
 
-    `numbered` ones come with a number in [0, 1) each, from which its plant follows (`inspection.world.plant`).
+    `numbered` states come with a number in [0, 1) each, from which the episode's plant follows
+    (`inspection.world.plant`).
 
     Attributes:
-        pool: (16 + 3, k) states and priority vectors not handed out yet; with `numbered` plants a row more.
-        offset_and_total: where several supplies with equal generators hand out one row of states in turns, each a part:
-            says for a count how many the supplies before this one hand out first, and all of them together.
+        pool: (16 + 3, k) states and priority vectors not handed out yet; one row more if `numbered`.
+        offset_and_total: for several supplies with equal generators that share one sequence of states: maps a count to
+            how many states the supplies before this one take first, and how many all of them take.
     """
 
     def __init__(
@@ -103,12 +104,12 @@ class InitialStates:
         self.offset_and_total: Callable[[int], tuple[int, int]] = lambda count: (0, count)
 
     def seed(self, seed: int) -> None:
-        """Makes the states to come those that follow from a seed (0 to 2^63 - 1)."""
+        """Restarts the supply from a seed (0 to 2^63 - 1)."""
         self.generator.manual_seed(seed)
         self.pool = self.pool[:, :0]
 
     def take(self, count: int) -> tuple[Tensor, ...]:
-        """The next `count` states (16, count) and priority vectors (3, count), and numbers (count,) if `numbered`."""
+        """Returns the next states (16, count), priority vectors (3, count) and, if `numbered`, numbers (count,)."""
         before, together = self.offset_and_total(count)
         while self.pool.shape[1] < together:
             drawn: tuple[Tensor, ...] = sample_initial_state(POOL, self.generator, self.c, self.is_safe)

@@ -12,13 +12,13 @@ from inspection.model.orbit import closest_pass
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, THETA_S, E, P, Q, T, V
 
-# s between samples of free flight, whose chords stray by |a| spacing^2 / 8: 100 m from the chief and at 1 m/s by 0.2
-# and 3 m, of which 0.03 and 0.4 m at rest
+# s between samples of free flight. The chords between samples are off by |a| spacing^2 / 8: at 100 m from the chief by
+# 0.2 and 3 m at 1 m/s, and by 0.03 and 0.4 m at rest.
 SHORT_SPACING, LONG_SPACING = 25.0, 100.0
 
 
 class Component(NamedTuple):
-    """One number that the agent observes or commands; `scale`, in its unit, brings it into roughly [-1, 1]."""
+    """Describes one number that the agent observes or commands; dividing by `scale` gives roughly [-1, 1]."""
 
     name: str
     unit: str
@@ -26,17 +26,17 @@ class Component(NamedTuple):
 
 
 def vector(name: str, unit: str = "1", scale: float = 1.0) -> list[Component]:
-    """The three components of a vector."""
+    """Returns the three components of a vector."""
     return [Component(f"{name}_{i}", unit, scale) for i in "xyz"]
 
 
 def groups(c: InspectionParameters) -> dict[str, list[Component]]:
-    """Returns all components by what they are of, in the paper's order, 26 in all, and three groups beyond it.
+    """Returns all components by group, in the paper's order, 26 in all, and three groups beyond the paper.
 
-    "hill": the paper's observations tell the Sun's direction, but not radial from along-track, so that an agent cannot
-    know whether its flight drifts. "free_flight": where coasting passes the chief next, within the horizons of passive
-    safety and of the reward of success, which a small network does not work out. "chief": two of the axes of a chief
-    that turns, and its rate.
+    "hill": the paper's observations give the Sun's direction, but do not tell radial from along-track, so an agent
+    cannot know whether its flight drifts. "free_flight": where coasting passes the chief next, within the horizons of
+    passive safety and of the success reward; a small network does not work that out. "chief": two axes of a chief that
+    turns, and its rate.
     """
     position, velocity, rate = c.observation_scales
     return {
@@ -56,12 +56,12 @@ def groups(c: InspectionParameters) -> dict[str, list[Component]]:
 
 
 def components(c: InspectionParameters) -> list[Component]:
-    """Returns the components that are observed."""
+    """Returns the observed components."""
     return [component for name, group in groups(c).items() if name in c.observed for component in group]
 
 
 def nearness(closest: Tensor, c: InspectionParameters) -> Tensor:
-    """Towards a closest pass (3, B) in m, as long as the collision radius is of its distance, at most 2."""
+    """Returns vectors (3, B) to a closest pass (3, B) in m, of length collision radius / distance, at most 2."""
     return unit(closest) * (c.collision_radius / norm(closest)).clamp(max=2.0)
 
 
@@ -73,14 +73,14 @@ def observe(
     c: InspectionParameters,
     chief: Tensor | None = None,
 ) -> Tensor:
-    """o in physical units, a row (B,) per component; divide by `scales` for the network.
+    """Returns the observation o in physical units, a row (B,) per component; the network divides it by `scales`.
 
     Args:
         x: states (16, B).
         priority, uninspected: r_p and r_UPS in Hill's frame (3, B).
         score: inspected weight w_p (B,).
-        chief: its attitude, from its axes to Hill's, and its rate about them in rad/s, (7, B), if it is observed.
-        c: what is observed, and the horizons of free flight.
+        chief: (7, B) its attitude, from its axes to Hill's, and its rate about them in rad/s, if observed.
+        c: names what is observed, and the horizons of free flight.
     """
     to_body = conjugate(x[Q])
     p_hat = unit(x[P])
@@ -125,6 +125,6 @@ def scales(like: Tensor, c: InspectionParameters) -> Tensor:
 def normalised(
     x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor, *chief: Tensor, c: InspectionParameters
 ) -> Tensor:
-    """`observe` divided by `scales`, in float32 for the network."""
+    """Returns `observe` divided by `scales`, in float32 for the network."""
     o = observe(x, priority, uninspected, score, c, *chief)
     return (o / scales(o, c)).float()

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, TypeAlias
 if TYPE_CHECKING:
     from torch import Tensor
 
-Knob: TypeAlias = "float | Tensor"  # a number, or (B,), one per episode
+Knob: TypeAlias = "float | Tensor"  # one number, or (B,) one per episode
 
 
 @dataclass(frozen=True)
 class Lead:
-    """The phase of `natural_motion` from the Sun's, by the inspected score: behind it at first, ahead of it later.
+    """Describes the phase of `natural_motion` relative to the Sun's by the inspected score: first behind, later ahead.
 
-    Points go dark behind the Sun and become lit ahead of it. So who looks behind first and ahead later sees more.
+    Points go dark behind the Sun and become lit ahead of it. So a deputy that looks behind first and ahead later sees
+    more.
 
     Attributes:
         behind, ahead: rad, at first and at last.
@@ -27,22 +28,22 @@ class Lead:
     end: Knob = 0.95
 
     def at(self, score: "Tensor") -> "Tensor":
-        """How far ahead of the Sun's the phase is, (B,) rad, once a weight (B,) has been inspected."""
+        """Returns by how much the phase is ahead of the Sun's, (B,) rad, for an inspected weight (B,)."""
         share = ((score - self.begin) / (self.end - self.begin)).clamp(0.0, 1.0)
         return share * (self.behind + self.ahead) - self.behind
 
 
 @dataclass(frozen=True)
 class Orbit:
-    """The relative ellipse that `natural_motion` follows, and how it gets there; each number may be one per episode.
+    """Describes the relative ellipse that `natural_motion` follows, and its approach; numbers may differ by episode.
 
     Attributes:
         semi_minor: b in m; the ellipse is twice as long along the track.
         out_of_plane: a in m, its amplitude out of the orbital plane.
-        tracking: rad/s, frequency of the critically damped law that tracks it: short ways cost fuel.
-        look_ahead: rad of phase, L. The chord between two points so far apart keeps b cos(L / 2) from the chief.
-        approach: the fastest that it nears the orbit, as a share of the dynamic speed limit.
-        lead: where on it; None: at the Sun's phase.
+        tracking: rad/s, frequency of the critically damped law that tracks it; direct approaches cost fuel.
+        look_ahead: rad of phase, L. The chord between two points that far apart stays b cos(L / 2) from the chief.
+        approach: the largest approach speed, as a share of the dynamic speed limit.
+        lead: where on the ellipse; None: at the Sun's phase.
     """
 
     semi_minor: Knob = 40.0
@@ -53,9 +54,9 @@ class Orbit:
     lead: Lead | None = None
 
 
-# What flies and teaches by name. "following": a larger ellipse sees more of the chief at once; its tilt, a wider way
-# there and 70 % of the dynamic speed limit keep away from every limit. The others lead the Sun, from thrifty to quick:
-# a search for time against fuel found their knobs, and `experiments.guidance` flies cases that nobody has seen.
+# The guidance settings by name. "following": a larger ellipse sees more of the chief at once; its tilt, a wide approach
+# and 70 % of the dynamic speed limit stay away from every limit. The others lead the Sun, from thrifty to quick: a
+# search for time against fuel found their numbers, and `experiments.guidance` flies cases outside that search.
 GUIDANCE: dict[str, Orbit] = {
     "natural-motion": Orbit(),
     "following": Orbit(

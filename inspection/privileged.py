@@ -1,7 +1,7 @@
-"""What a critic is shown beside the observation: where all that is left to inspect lies, as the Sun will light it.
+"""Inputs of the critic beside the observation: where the points left to inspect lie, and when the Sun will light them.
 
-The agent observes its score and the nearest cluster that is lit. What a state is worth also depends on the points in
-the dark, and on the time. The critic only trains; the agent flies without it (asymmetric actor-critic, Pinto et al.
+The agent observes its score and the nearest lit cluster. The value of a state also depends on the points in the dark
+and on the time. Only training uses the critic; the agent flies without it (asymmetric actor-critic, Pinto et al.
 2018).
 """
 
@@ -12,11 +12,14 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import THETA_S, P, V
 
 HARMONICS = 5
-PRIVILEGED = 3 + 2 * HARMONICS + 3 + 3 + 5  # numbers: weights, their moments, position, velocity, the rest
+PRIVILEGED = 3 + 2 * HARMONICS + 3 + 3 + 5  # counts: weights, their moments, position, velocity, the rest
 
 
 def privileged(x: Tensor, points: Tensor, left: Tensor, time: Tensor, c: InspectionParameters) -> Tensor:
-    """Return what is left to inspect, and where the deputy is, in Hill's frame turned to the Sun: (PRIVILEGED, B).
+    """Returns what is left to inspect, and where the deputy is, in Hill's frame turned to the Sun: (PRIVILEGED, B).
+
+    The remaining weights w, at azimuths phi from the Sun and heights z, are described by the sums of w, w cos(k phi),
+    w sin(k phi), w z and w z^2.
 
     The weights w left, at azimuths phi from the Sun and heights z, are described by the sums of w, w cos(k phi),
     w sin(k phi), w z and w z^2.
@@ -34,7 +37,7 @@ def privileged(x: Tensor, points: Tensor, left: Tensor, time: Tensor, c: Inspect
     height = points[2] / points.square().sum(0).sqrt()
 
     def to_sun(vector: Tensor) -> Tensor:
-        """(3, B) with x towards the Sun."""
+        """Returns the vector (3, B) in the frame whose x points to the Sun."""
         along = vector[0] * theta.cos() + vector[1] * theta.sin()
         return torch.stack((along, vector[1] * theta.cos() - vector[0] * theta.sin(), vector[2]))
 

@@ -1,4 +1,4 @@
-"""The nine reward terms by name (Sec. Rewards), and those of our own that an agent may be trained with beside them."""
+"""The nine reward terms by name (Sec. Rewards), and our own terms, with which an agent may be trained in addition."""
 
 import math
 
@@ -10,14 +10,14 @@ from inspection.model.orbit import closest_pass, free_flight
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, P, Q, V
 
-PHASES = 64  # at which an orbit of free flight is looked at
-# How near a limit is near, in the unit of its h: of those that agents without a filter break; chosen
+PHASES = 64  # samples of an orbit of free flight
+# The h below which a limit counts as near, in the unit of h; for limits that agents without a filter violate; chosen
 NEAR = {"dynamic_speed": 0.06, "passive_safety": 6.0, "temperature": 0.5, "battery": 0.3}  # m/s, m, deg C, kJ
 REWARDS = ("points", "delta_v", "torque", "orientation", "time", "success", "crash", "distance", "energy")
 
 
 def orientation(x: Tensor, c: InspectionParameters) -> Tensor:
-    """R_orient: Gaussian-like decay of the boresight's misalignment with the chief, (16, B) to (B,)."""
+    """Returns R_orient: Gaussian-like decay of the boresight's misalignment with the chief, (16, B) to (B,)."""
     to_chief = rotate(conjugate(x[Q]), -unit(x[P]))
     misalignment = (to_chief[0] - 1.0).abs()
     reward = c.orientation_reward * (-misalignment / c.orientation_width).exp()
@@ -25,7 +25,7 @@ def orientation(x: Tensor, c: InspectionParameters) -> Tensor:
 
 
 def stays_clear(x: Tensor, columns: Tensor, c: InspectionParameters) -> Tensor:
-    """Whether free flight from states x (16, B) stays clear of the chief, (B,); False but for `columns` (B,)."""
+    """Checks whether free flight from states x (16, B) stays clear of the chief, (B,); False outside `columns` (B,)."""
     clear = torch.zeros_like(columns)
     if columns.any():
         pass_ = closest_pass(x[:, columns], c.free_flight_horizon, c)
@@ -34,7 +34,7 @@ def stays_clear(x: Tensor, columns: Tensor, c: InspectionParameters) -> Tensor:
 
 
 def success(x: Tensor, succeeded: Tensor, c: InspectionParameters) -> Tensor:
-    """R_success: +1 if two days of free flight after the last inspection stay clear of the chief, else -1."""
+    """Returns R_success: +1 if two days of free flight after the last inspection stay clear of the chief, else -1."""
     sign = stays_clear(x, succeeded, c).to(x.dtype) * 2.0 - 1.0
     return torch.where(succeeded, c.terminal_reward * sign, 0.0)
 
@@ -48,7 +48,7 @@ def rewards(
     ended: dict[str, Tensor],
     c: InspectionParameters,
 ) -> dict[str, Tensor]:
-    """Every term as (B,) for the state x (16, B) after the interaction.
+    """Returns every term as (B,) for the state x (16, B) after the interaction.
 
     Args:
         new_score: weight inspected in this interaction.
@@ -71,11 +71,11 @@ def rewards(
 
 
 def distance_from_track(x: Tensor, c: InspectionParameters) -> Tensor:
-    """Smallest distance (B,) in m, over an orbit of free flight, from the line along the track through the chief.
+    """Returns the smallest distance (B,) in m, over an orbit of free flight, from the line along the chief's track.
 
-    Free flight repeats itself every orbit but for a drift along that line. So what keeps away from the line never
-    meets the chief (D'Amico and Montenbruck 2006). On an ellipse of 50 m the samples miss the smallest distance by
-    50 m pi / PHASES, 2.5 m, at most.
+    Free flight repeats every orbit, except for a drift along this line. So a flight that stays away from the line never
+    meets the chief (D'Amico and Montenbruck 2006). On an ellipse of 50 m the samples miss the smallest distance by at
+    most 50 m pi / PHASES, 2.5 m.
     """
     orbit = 2.0 * math.pi / c.mean_motion
     t = torch.arange(PHASES, dtype=x.dtype, device=x.device) * (orbit / PHASES)
@@ -91,15 +91,15 @@ def shaping(
     progress: float,
     c: InspectionParameters,
 ) -> dict[str, Tensor]:
-    """Our own terms as (B,) for the state x (16, B) after the interaction; none where all weights are 0.
+    """Returns our own terms as (B,) for the state x (16, B) after the interaction; none if all weights are 0.
 
-    The learner is given them beside the paper's nine, which `rewards` are reported in.
+    The learner gets these beside the paper's nine terms; reports contain only `rewards`.
 
     Args:
         h: constraint values (B,) by name.
         corrected: share of the filter's calls that it corrected; delta_v: of the interaction in m/s.
-        progress: share of training that is done, with which the price of fuel grows: noise costs fuel, and an agent
-            that pays all of it from the start learns to stay where it is.
+        progress: share of training that is done, with which the fuel penalty grows: noise costs fuel, and an agent that
+            pays the full penalty from the start learns to stay where it is.
     """
     terms = {}
     if c.fuel_reward:

@@ -1,4 +1,4 @@
-"""What a batch of episodes has seen of the chief: the points inspected, and where the nearest lit ones are left."""
+"""What a batch of episodes has seen of the chief: the inspected points, and where the nearest lit ones are left."""
 
 from collections.abc import Callable
 from functools import partial
@@ -20,7 +20,7 @@ ALL = slice(None)  # of the batch's columns
 
 
 class Sight:
-    """The chiefs of a batch of episodes as their deputies have come to see them.
+    """Keeps what the deputies of a batch of episodes have seen of their chiefs.
 
     Args:
         target: the chief; c: the task; batch: episodes, B.
@@ -30,7 +30,7 @@ class Sight:
         tumbling: how the chiefs turn; None: the chief is the paper's, its frame Hill's.
         priority: (3, B) in the chief's frame; weights: (N, B) of the points, which follow from it.
         inspected: (N, B) bool.
-        centres, alive: (3, K, B) m and (K, B) bool, the clusters of what is lit and left, see `chief.points.cluster`.
+        centres, alive: (3, K, B) m and (K, B) bool, the clusters of lit uninspected points, see `chief.points.cluster`.
         uninspected: r_UPS (3, B) in Hill's frame.
     """
 
@@ -44,7 +44,7 @@ class Sight:
         if not target.is_the_papers or "chief" in c.observed:
             self.tumbling = Tumbling(target, c, batch, device)
         self.surface = surface(target, c, device)
-        # k-means in float32 on coordinates rounded to 2^-13 m, which sum exactly in any order
+        # k-means runs in float32 on coordinates rounded to 2^-13 m, because these sum exactly in any order
         self.points = (self.surface.points * 2**13).round().div(2**13).float()
         count = self.points.shape[1]
         clusters = chief.max_clusters(self.surface.normals, c, self.tumbling is not None)
@@ -92,7 +92,10 @@ class Sight:
         self.update_inspected(x)
 
     def update_inspected(self, x: Tensor, columns: Tensor | slice = ALL) -> None:
-        """Marks the points in view from states x (16, k); points r_UPS at the nearest cluster of those lit and left."""
+        """Marks the points in view from states x (16, k) as inspected.
+
+        r_UPS then points at the nearest cluster of lit uninspected points.
+        """
         ((lit, seen),) = self._seen(x, *self._frames(columns))
         inspected = self.inspected[:, columns] | seen
         wanted = lit & ~inspected
@@ -116,20 +119,21 @@ class Sight:
         self.uninspected[:, columns] = direction
 
     def score(self, columns: Tensor | slice = ALL) -> Tensor:
-        """w_p (k,), the inspected weight of the given columns."""
+        """Returns w_p (k,), the inspected weight of the given columns."""
         return torch.where(self.inspected[:, columns], self.weights[:, columns], 0.0).sum(0)
 
     def left(self, columns: Tensor | slice = ALL) -> tuple[Tensor, Tensor]:
-        """Returns the points in Hill's frame, (3, N, 1) or, where chiefs turn, (3, N, k); (N, k) their weights left."""
+        """Returns points in Hill's frame, (3, N, 1) or, if chiefs turn, (3, N, k), and their weights left (N, k)."""
         points = self.surface.points[..., None]
         if self.tumbling:
             points = rotate(self.tumbling.attitude[:, None, columns], points)
         return points, self.weights[:, columns].masked_fill(self.inspected[:, columns], 0.0)
 
     def observed(self, columns: Tensor | slice = ALL, score: Tensor | None = None) -> tuple[Tensor, ...]:
-        """What an agent observes beside its state, as `observation.normalised` takes it.
+        """Returns what an agent observes beside its state, as `observation.normalised` takes it.
 
-        r_p and r_UPS (3, k) in Hill's frame, w_p (k,) and, if it is observed, the chief's attitude and rate (7, k).
+        These are r_p and r_UPS (3, k) in Hill's frame, w_p (k,) and, if it is observed, the chief's attitude and rate
+        (7, k).
 
         Args:
             score: `score` of these columns, if it is known.
@@ -144,7 +148,7 @@ class Sight:
         return shown
 
     def compile(self, compiled: Callable[..., Any], x: Tensor) -> None:
-        """Compiles visibility and k-means; raises as `Compiled`, and changes nothing then.
+        """Compiles visibility and k-means; if the compiler raises, nothing is changed.
 
         Args:
             compiled: `InspectionEnv._several`; x: states (16, B).
@@ -154,7 +158,10 @@ class Sight:
         self._seen, self._settle = seen, partial(settle, times=chief.LLOYD_ITERATIONS)
 
     def _looking(self, compiled: Callable[..., Any], *examples: Tensor) -> Callable[..., list[Tensor]]:
-        """What sees the points, compiled for tensors like the examples; of a mesh, each group of points by itself."""
+        """Returns the function that sees the points, compiled for tensors like the examples.
+
+        For a mesh, each group of points is compiled by itself.
+        """
         if not self.tumbling:
             return compiled(lambda *given: [self._in_view(*given)], *examples)
         where = compiled(lambda *given: [directions(*given)], *examples)
@@ -174,5 +181,5 @@ class Sight:
         return look
 
     def _frames(self, columns: Tensor | slice) -> tuple[Tensor, ...]:
-        """The attitude (4, k) of the given chiefs, if it is not Hill's frame."""
+        """Returns the attitude (4, k) of the given chiefs, if it is not Hill's frame."""
         return (self.tumbling.attitude[:, columns],) if self.tumbling else ()

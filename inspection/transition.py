@@ -1,4 +1,4 @@
-"""What one interaction of a batch of episodes comes to."""
+"""The result of one interaction of a batch of episodes."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,23 +14,23 @@ METRICS = ("inspected_score", "reward", "episode_length_s", "delta_v_m_s", "torq
 
 @dataclass
 class Transition:
-    """The outcome of one interaction, before autoreset; tensors over the batch B.
+    """Holds the result of one interaction, before autoreset; tensors over the batch B.
 
     Attributes:
         observation: (B, size) float32, of the next episode where one ended.
         final_observation: (B, size) float32, of the state that the action led to (terminal where it ended).
         state: (16, B) that the action led to; inspected: (N, B) bool, the points seen by then.
-        reward: (B,); reward_terms: what it is the sum of, by name, the nine and those of our own that have a weight.
-        terminated, truncated: (B,) bool, true end or time limit; an episode that failed within the step flew on to its
-            end.
-        violated: (constraints, B) bool at the end of the step; h: (constraints, B) the values that say so.
+        reward: (B,), the sum of reward_terms: by name, the paper's nine and those of our own that have a weight.
+        terminated, truncated: (B,) bool, true end or time limit; an episode that failed within the step flew on to the
+            step's end.
+        violated: (constraints, B) bool at the end of the step; h: (constraints, B) the values that decide it.
         corrections: the filter's answers, one per filter call of the step; see `calls`.
-        applied_controls: (6, B) each, in N and N m, all for as long; limit: (6, 1) the actuators' limits.
+        applied_controls: (6, B) each, in N and N m, of equal duration; limit: (6, 1) the actuators' limits.
         outcome: (B,) index into OUTCOMES, -1 while running.
         metrics: (6, B) the episode so far in the order of METRICS.
         violation_steps: (constraints, B) and steps (B,): violated and all steps of the episode so far.
-        truths: of each filter call, (B,) bool where it was not missed and (constraints, B) values of the true states;
-            None where the plant is the model.
+        truths: for each filter call, (B,) bool where it was not missed and (constraints, B) values of the true states;
+            None if the plant is the model.
     """
 
     observation: Tensor
@@ -53,7 +53,7 @@ class Transition:
     truths: list[tuple[Tensor, Tensor]] | None = None
 
     def calls(self) -> Iterator[tuple[Any, Tensor, Tensor]]:
-        """Each call of the filter: its answer, (B,) bool where it was not missed, (constraints, B) true values."""
+        """Yields per filter call its answer, (B,) bool where it was not missed, and (constraints, B) true values."""
         if self.truths is None:
             everyone = torch.ones_like(self.terminated)
             yield from ((correction, everyone, correction.h) for correction in self.corrections)
@@ -62,15 +62,15 @@ class Transition:
 
     @property
     def applied(self) -> Tensor:
-        """(B, 6) mean of the controls that were applied, in units of the actuators' limits."""
+        """Returns the mean (B, 6) of the applied controls, in units of the actuators' limits."""
         return (torch.stack(self.applied_controls).mean(0) / self.limit).T
 
     @property
     def cost(self) -> Tensor:
-        """(B,) 1 where the step ended with a violated limit, else 0."""
+        """Returns (B,) 1 where the step ended with a violated limit, else 0."""
         return self.violated.any(0).to(self.reward.dtype)
 
     @property
     def done(self) -> Tensor:
-        """(B,) bool: the episode ended."""
+        """Returns whether the episode ended, (B,) bool."""
         return self.terminated | self.truncated

@@ -1,6 +1,6 @@
-"""The task for learners from elsewhere: importing this registers Inspection6DoF-v0 with Gymnasium.
+"""The task for other learners: importing this package registers Inspection6DoF-v0 with Gymnasium.
 
-`VectorInspection6DoF` is the batch of episodes, `Inspection6DoF` one of them; `VectorRunTimeAssurance` and
+`VectorInspection6DoF` is the batch of episodes, `Inspection6DoF` one episode. `VectorRunTimeAssurance` and
 `RunTimeAssurance` put the filter between actions and actuators. For Stable-Baselines3 there is
 `interfaces.stable_baselines`.
 """

@@ -13,10 +13,10 @@ from study.config import Config
 
 
 class Inspection6DoF(gymnasium.Env):
-    """A `VectorInspection6DoF` of one episode; arguments and errors as there.
+    """Wraps a `VectorInspection6DoF` of one episode; arguments and errors are the same.
 
     Attributes:
-        batch: that vector environment, or a wrapper of it.
+        batch: this vector environment, or a wrapper around it.
     """
 
     metadata = gymnasium.Env.metadata | {
@@ -37,10 +37,10 @@ class Inspection6DoF(gymnasium.Env):
         """Starts an episode; returns its observation (26,) float32 and an empty info.
 
         Args:
-            options: state (16,) and priority (3,), as of the vector environment.
+            options: state (16,) and priority (3,), as for the vector environment.
 
         Raises:
-            InputError: as there.
+            InputError: as in the vector environment.
         """
         check_names({} if options is None else options, STARTS)
         observation, info = self.batch.reset(seed=seed, options=options)
@@ -64,5 +64,5 @@ class Inspection6DoF(gymnasium.Env):
 
 
 def only(value: Any) -> Any:
-    """The single column of an array, or of every one of a dictionary."""
+    """Returns the single column of an array, or of each array of a dictionary."""
     return {name: only(part) for name, part in value.items()} if isinstance(value, dict) else value[0]

@@ -1,4 +1,4 @@
-"""The options of `reset`: which episodes begin anew, and where."""
+"""The options of `reset`: which episodes restart, and from which states."""
 
 from collections.abc import Collection
 from typing import Any
@@ -20,7 +20,7 @@ STARTS = {"state": SIZE, "priority": 3}  # components
 
 
 def check_names(options: Any, allowed: Collection[str]) -> None:
-    """Raises InputError for options that are no dictionary or hold another name than the allowed ones."""
+    """Raises InputError if options are no dictionary or hold a name that is not allowed."""
     if not isinstance(options, dict):
         raise InputError(f"options = {options!r}: must be a dictionary of {', '.join(allowed)}")
     for name in options:
@@ -29,12 +29,12 @@ def check_names(options: Any, allowed: Collection[str]) -> None:
 
 
 def read(options: dict[str, Any] | None, batch: int, c: Limits) -> dict[str, Tensor]:
-    """Options as the arguments of `InspectionEnv.reset`, on the CPU.
+    """Returns options as the arguments of `InspectionEnv.reset`, on the CPU.
 
     Rows of states and priority vectors only count, and are only checked, where the mask is set.
 
     Raises:
-        InputError: an unknown option, a wrong type or shape, or what no episode can begin from.
+        InputError: an unknown option, a wrong type or shape, or a state or priority from which no episode can begin.
     """
     options = {} if options is None else options
     check_names(options, (MASK, *STARTS))
@@ -56,7 +56,7 @@ def read(options: dict[str, Any] | None, batch: int, c: Limits) -> dict[str, Ten
 
 
 def mask_of(given: Any, batch: int) -> Tensor:
-    """The mask (B,) of the episodes that begin anew."""
+    """Returns the mask (B,) of the episodes that restart."""
     mask = given if torch.is_tensor(given) else np.asarray(given)
     if tuple(mask.shape) != (batch,) or mask.dtype not in (np.bool_, torch.bool):
         raise InputError(
@@ -68,7 +68,7 @@ def mask_of(given: Any, batch: int) -> Tensor:
 
 
 def rows(name: str, given: Any, batch: int) -> Tensor:
-    """One row for all episodes, or one each, as (components, B) float64."""
+    """Returns one row for all episodes, or one row each, as (components, B) float64."""
     size = STARTS[name]
     with as_input_error("options", ValueError):
         part = numbers(name, given).to("cpu", torch.float64)
@@ -80,7 +80,7 @@ def rows(name: str, given: Any, batch: int) -> Tensor:
 
 
 def placeholder() -> Tensor:
-    """A state (16, 1) that is never refused, where none is asked for."""
+    """Returns a valid state (16, 1), for episodes whose state is not given."""
     x = torch.zeros(SIZE, 1, dtype=torch.float64)
     x[P.start] = x[Q.stop - 1] = 1.0
     return x

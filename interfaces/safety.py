@@ -21,15 +21,15 @@ from study.experiment import Experiment
 class VectorRunTimeAssurance(VectorWrapper):
     """Puts the filter between actions and actuators; `reset` must follow.
 
-    The filter is called every `period` s of the action period and its last control is its next desired one, so it
-    works inside the wrapped environment. To its info `step` adds, per episode and call,
+    The filter is called every `period` s of the action period, and its last control is its next desired one. So it
+    works inside the wrapped environment. `step` adds to the environment's info, per episode and call,
 
-        u_des, u_safe: (B, calls, 6), desired and safe control in N and N m; the latter is applied, unless [plant] has
-            the call missed,
-        intervened: (B, calls) bool, u_safe is a correction,
-        backup: (B, calls) bool, u_safe is not what the program answered, which could not be verified,
-        verified: (B, calls) bool, u_safe keeps every limit in the model, see `rta.result.FilterResult`,
-        active: (B, calls, constraints) bool, the condition of the constraint binds the program's control,
+        u_des, u_safe: (B, calls, 6), desired and safe control in N and N m; the safe control is applied, unless [plant]
+            misses the call,
+        intervened: (B, calls) bool, whether u_safe differs from u_des,
+        backup: (B, calls) bool, whether the check replaced the program's control, which could not be verified,
+        verified: (B, calls) bool, whether u_safe keeps every limit in the model, see `rta.result.FilterResult`,
+        active: (B, calls, constraints) bool, whether the barrier condition is active at the program's control,
         status: (B, calls), `rta.result.Status`.
 
     Args:
@@ -57,16 +57,16 @@ class VectorRunTimeAssurance(VectorWrapper):
 
     @property
     def filter(self) -> SafetyFilter:
-        """The filter, which cannot be changed: starts and limits are its own, too."""
+        """Returns the filter, which cannot be changed: initial states and limits depend on it."""
         return self._filter
 
     def correct(self, x: Tensor, desired: Tensor, **told: Tensor) -> FilterResult:
-        """Calls the filter and keeps what it was asked and what it answered."""
+        """Calls the filter and records its desired controls and answers."""
         self.calls.append((desired, self.filter.correct(x, desired, **told)))
         return self.calls[-1][1]
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """See `VectorInspection6DoF.step`."""
+        """Steps as `VectorInspection6DoF.step`, with the filter's report in the info."""
         self.calls.clear()
         *rest, info = self.env.step(actions)
         report = in_kind(self.report(), torch.is_tensor(actions))
@@ -76,7 +76,7 @@ class VectorRunTimeAssurance(VectorWrapper):
         return *rest, info
 
     def report(self) -> dict[str, Tensor]:
-        """What the calls of the last step were asked and answered."""
+        """Returns desired controls and answers of the calls of the last step."""
         desired, results = zip(*self.calls, strict=True)
         return {
             "u_des": by_call(desired),
@@ -90,12 +90,12 @@ class VectorRunTimeAssurance(VectorWrapper):
 
 
 def by_call(parts: Sequence[Tensor]) -> Tensor:
-    """One tensor (..., B) per call as (B, calls, ...)."""
+    """Returns one tensor (..., B) per call as (B, calls, ...)."""
     return torch.stack(list(parts)).movedim(-1, 0)
 
 
 class RunTimeAssurance(gymnasium.Wrapper, RecordConstructorArgs):
-    """`VectorRunTimeAssurance` for an `Inspection6DoF`, whose info has no axis B."""
+    """Puts the filter around an `Inspection6DoF`, as `VectorRunTimeAssurance`; its info has no axis B."""
 
     def __init__(self, env: gymnasium.Env, period: float | None = None) -> None:
         RecordConstructorArgs.__init__(self, period=period)

@@ -15,12 +15,12 @@ Indices = int | Iterable[int] | None
 
 
 class StableBaselinesEnv(VecEnv):
-    """A `VectorInspection6DoF`, wrapped or not, as Stable-Baselines3 wants it.
+    """Wraps a `VectorInspection6DoF`, wrapped or not, for Stable-Baselines3.
 
-    Both begin an ended episode anew in the same step. An info is that of the environment for one episode, arrays
-    without the axis B; in steps that end an episode also with terminal_observation, TimeLimit.truncated, and episode
-    with the return r and the steps l. The episodes share one simulator, so its attributes and methods are those of
-    all, and `indices` only say how many answers are wanted.
+    Both restart an ended episode in the same step. An info is that of the environment for one episode, with arrays
+    without the axis B. In steps that end an episode it also holds terminal_observation, TimeLimit.truncated, and
+    episode with the return r and the steps l. The episodes share one simulator, so its attributes and methods are those
+    of all episodes, and `indices` only give the number of answers.
 
     Raises:
         TypeError: another environment. ValueError: it returns tensors.
@@ -37,9 +37,10 @@ class StableBaselinesEnv(VecEnv):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> np.ndarray:
-        """Starts every episode anew, after `seed` from its seed; returns observations (B, 26).
+        """Restarts every episode, after `seed` from its seed; returns observations (B, 26).
 
-        After `set_options`, each episode begins from its own state (16,) and priority (3,), if its dictionary has one.
+        After `set_options`, each episode begins from its own state (16,) and priority (3,), if its dictionary has
+        these.
 
         Raises:
             InputError: other options, or wrong ones.
@@ -53,7 +54,7 @@ class StableBaselinesEnv(VecEnv):
         return observation
 
     def starts(self) -> list[dict[str, np.ndarray]]:
-        """What `set_options` was given as options of the environment's `reset`, for each set of names by itself."""
+        """Returns the options from `set_options` as options of the environment's `reset`, one for each set of names."""
         if len(self._options) != self.num_envs:
             raise InputError(f"set_options: {len(self._options)} of them: must be one, or {self.num_envs}")
         groups: dict[frozenset[str], dict[str, np.ndarray]] = {}
@@ -74,10 +75,10 @@ class StableBaselinesEnv(VecEnv):
         self.actions = actions
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Observations (B, 26), rewards (B,), done (B,) and one info per episode."""
+        """Returns observations (B, 26), rewards (B,), done (B,) and one info per episode."""
         observation, reward, terminated, truncated, info = self.env.step(self.actions)
         done = terminated | truncated
-        # what Gymnasium masks by `_name` is of some episodes only: of those that end, which `final_info` has
+        # entries with a mask `_name` belong only to episodes that end; `final_info` holds them
         masked = {name[1:] for name in info if name.startswith("_")}
         infos = by_episode(
             {name: part for name, part in info.items() if name[0] != "_" and name not in masked}
@@ -96,11 +97,11 @@ class StableBaselinesEnv(VecEnv):
         self.env.close()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of the environment or of a wrapper, once per episode asked for."""
+        """Returns an attribute of the environment or of a wrapper, once per requested episode."""
         return [getattr(self.owner(attr_name), attr_name)] * self.count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Sets an attribute for all episodes; raises ValueError where `indices` leave some out."""
+        """Sets an attribute for all episodes; raises ValueError if `indices` leave some out."""
         if self.count(indices) != self.num_envs:
             raise ValueError(
                 f"set_attr {attr_name!r}: the episodes share it: indices must be None, or all of them"
@@ -108,37 +109,37 @@ class StableBaselinesEnv(VecEnv):
         setattr(self.owner(attr_name), attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
-        """Calls a method of the environment or of a wrapper once; returns its result once per episode asked for."""
+        """Calls a method of the environment or of a wrapper once; returns its result once per requested episode."""
         count = self.count(indices)
         return [getattr(self.owner(method_name), method_name)(*args, **kwargs)] * count
 
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
-        """Whether a wrapper of this class is around the environment, once per episode asked for."""
+        """Returns whether a wrapper of this class is around the environment, once per requested episode."""
         found = any(isinstance(each, wrapper_class) for each in self.layers()[:-1])
         return [found] * self.count(indices)
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """No images: None per episode, since nothing is rendered."""
+        """Returns None per episode, since nothing is rendered."""
         return [None] * self.num_envs
 
     def count(self, indices: Indices) -> int:
-        """How many episodes are asked for; raises IndexError where there is no such one."""
+        """Returns the number of requested episodes; raises IndexError if one does not exist."""
         return len([range(self.num_envs)[i] for i in self._get_indices(indices)])
 
     def layers(self) -> list[VectorEnv]:
-        """The wrappers and the environment in them, the outermost first."""
+        """Returns the wrappers and the environment in them, the outermost first."""
         layers = [self.env]
         while isinstance(layers[-1], VectorWrapper):
             layers.append(layers[-1].env)
         return layers
 
     def owner(self, name: str) -> VectorEnv:
-        """The outermost layer that has an attribute; the environment where none has."""
+        """Returns the outermost layer that has an attribute, or the environment if none has."""
         return next((each for each in self.layers() if hasattr(each, name)), self.env.unwrapped)
 
 
 def by_episode(value: Any) -> list[Any]:
-    """An array (B, ...), or a dictionary of them, as one of each episode; numbers as Python's."""
+    """Returns an array (B, ...), or a dictionary of arrays, as one per episode; numbers as Python's."""
     if isinstance(value, dict):
         parts = zip(*map(by_episode, value.values()), strict=True)
         return [dict(zip(value, own, strict=True)) for own in parts]

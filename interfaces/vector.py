@@ -26,25 +26,25 @@ from study.errors import as_input_error
 from study.experiment import Experiment
 
 ID = "Inspection6DoF-v0"
-LARGEST = float(np.finfo(np.float32).max)  # no observation has a limit, and Gymnasium warns of infinite ones
+LARGEST = float(np.finfo(np.float32).max)  # stands for no limit, since Gymnasium warns of infinite limits
 
 
 class VectorInspection6DoF(VectorEnv):
-    """num_envs episodes as one `InspectionEnv`; without the filter unless `VectorRunTimeAssurance` is around it.
+    """Runs num_envs episodes as one `InspectionEnv`; there is no filter unless `VectorRunTimeAssurance` adds one.
 
     Args:
         num_envs: episodes at once, B.
-        config: a configuration or a TOML file, by its path or the name of a shipped one, of which
-            [inspection], [chief], [plant] and [rta] count; None means the defaults.
+        config: a configuration or a TOML file, by its path or the name of a shipped one, of which [inspection],
+            [chief], [plant] and [rta] count; None means the defaults.
         device: cpu, cuda or auto.
-        compile: compile the simulator, at the first `reset`, and the filter if there is one, which takes seconds
-            the first time.
+        compile: compile the simulator at the first `reset`, and the filter if there is one; this takes seconds the
+            first time.
         tensors: `reset` returns tensors on the device; `step` answers in the kind of its actions.
-        max_episode_steps: after which an episode is truncated as by the configuration's max_time, if that is not
-            reached before; None or -1: by that alone.
+        max_episode_steps: after which an episode is truncated as by the configuration's max_time, if this is not
+            reached before; None or -1: by max_time alone.
 
     Attributes:
-        experiment: what is flown, the filter included; simulator: the episodes.
+        experiment: the task, plant and filter; simulator: the episodes.
 
     Raises:
         InputError: an option or the configuration is wrong.
@@ -78,34 +78,34 @@ class VectorInspection6DoF(VectorEnv):
         self.single_action_space = spaces.Box(-1.0, 1.0, (CONTROL_SIZE,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.config = config  # as it was given, `auto` not settled
+        self.config = config  # as given, `auto` not resolved
         self.begin(Experiment(config, num_envs))
 
     def begin(self, experiment: Experiment) -> None:
-        """Has the simulator made anew for an experiment; `reset` must follow."""
+        """Discards the simulator, so that a new one is made for an experiment; `reset` must follow."""
         self.experiment = experiment
         self.started = False
         vars(self).pop("simulator", None)
 
     @cached_property
     def simulator(self) -> InspectionEnv:
-        """Made when first needed, by when the filter is around it: compiling takes long."""
+        """Returns the simulator, made at first use: compiling takes long, and the filter must be set before."""
         return self.experiment.env(self.num_envs, compiled=self.experiment.compiled)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict]:
-        """Starts episodes anew; without a seed the draws go on, at first from a random one.
+        """Restarts episodes; without a seed the draws continue, at first from a random seed.
 
         Args:
-            options: reset_mask (B,) bool: only these begin anew, and the others go on; state (16,) or (B, 16) and
-                priority (3,) or (B, 3), a unit vector: where they begin, for all alike or row by row. What is not
-                given is drawn. A given state need not be one that the filter accepts, and may violate limits.
+            options: reset_mask (B,) bool: only these episodes restart, and the others continue; state (16,) or (B, 16)
+                and priority (3,) or (B, 3), a unit vector: their initial values, one for all or row by row. Other
+                values are drawn. A given state need not be accepted by the filter, and may violate limits.
 
         Returns:
             Observations (B, 26) float32 of all episodes and an empty info.
 
         Raises:
-            InputError: a wrong option, the configuration leaves no start within the constraints, or so many episodes
-                no memory. ResetNeeded: some are to go on, and none has begun.
+            InputError: an option is wrong, no initial state satisfies the constraints, or the memory is too small for
+                so many episodes. ResetNeeded: some episodes are to continue, and none has begun.
         """
         given = read(options, self.num_envs, self.experiment.task)
         if not self.started and not given["mask"].all():
@@ -115,7 +115,7 @@ class VectorInspection6DoF(VectorEnv):
             seed = self.np_random_seed
         if seed is not None:
             for starts in self.simulator.starts:
-                starts.seed(seed % 2**63)  # a random one of NumPy's has 128 bits
+                starts.seed(seed % 2**63)  # a random seed of NumPy has 128 bits
         with as_input_error("[inspection]", RuntimeError):  # no start within the constraints
             device = self.experiment.device
             observation = self.simulator.reset(**{name: each.to(device) for name, each in given.items()})
@@ -123,18 +123,21 @@ class VectorInspection6DoF(VectorEnv):
         return in_kind(observation, self.tensors), {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Holds one action for one action period (10 s); what ends begins anew at once.
+        """Holds one action for one action period (10 s); episodes that end restart at once.
 
         Args:
             actions: (B, 6) array or tensor, thrust and torque in units of the actuators' limits; clipped to [-1, 1].
 
         Returns:
-            Observations (B, 26) float32, rewards (B,), terminated and truncated (B,) bool, and an info about the
-            step: reward_terms by name (B,); of its end violated (B, constraints) bool, cost (B,) float32, 1 where any
-            limit is violated and else 0, and h by name (B,), the constraints' values, negative where violated; outcome
-            (B,) index into OUTCOMES or -1; metrics of the episode so far by name (B,). Where an episode ended, info
-            also has final_obs (B, 26) and final_info, the same entries and `episode` with return r and steps l; their
-            masks (B,) are _final_obs, _final_info and _episode.
+            Observations (B, 26) float32, rewards (B,), terminated and truncated (B,) bool, and an info about the step:
+            reward_terms by name (B,); at its end violated (B, constraints) bool, cost (B,) float32, 1 where any limit
+                is
+            violated and else 0, and h by name (B,), the constraints' values, negative where violated; outcome (B,)
+                index into
+            OUTCOMES or -1; metrics of the episode so far by name (B,). Where an episode ended, info also has final_obs
+                (B, 26)
+            and final_info, the same entries and `episode` with return r and steps l; their masks (B,) are _final_obs,
+            _final_info and _episode.
 
         Raises:
             ResetNeeded: `reset` was not called. ValueError: wrong shape, or actions that are not finite.
@@ -158,18 +161,18 @@ class VectorInspection6DoF(VectorEnv):
 
 
 def end_of(max_episode_steps: int | None, c: InspectionParameters) -> float:
-    """The time in s from which on an episode is ended; raises InputError where the steps are not allowed."""
+    """Returns the time in s at which an episode is truncated; raises InputError if the steps are not allowed."""
     if max_episode_steps in (None, -1):
         return c.max_time
     if (steps := typed(max_episode_steps, int, f"{ID}: max_episode_steps")) < 1:
         raise InputError(
             f"{ID}: max_episode_steps = {steps}: must be positive, or -1 for no limit but max_time"
         )
-    return min(c.max_time, (steps - 0.5) * c.action_period)  # within the last step, as times are rounded
+    return min(c.max_time, (steps - 0.5) * c.action_period)  # within the last step, since times are rounded
 
 
 def about(transition: Transition, constraints: Sequence[str]) -> dict[str, Any]:
-    """The step's info, tensors with the batch first."""
+    """Returns the step's info, tensors with the batch first."""
     return {
         "reward_terms": transition.reward_terms,
         "cost": transition.violated.any(0).float(),
@@ -181,7 +184,7 @@ def about(transition: Transition, constraints: Sequence[str]) -> dict[str, Any]:
 
 
 def in_kind(value: Any, tensors: bool) -> Any:
-    """A tensor, or every one of a dictionary, as it is or as a NumPy array."""
+    """Returns a tensor, or each tensor of a dictionary, as it is or as a NumPy array."""
     if isinstance(value, dict):
         return {name: in_kind(part, tensors) for name, part in value.items()}
     return value if tensors else value.cpu().numpy()

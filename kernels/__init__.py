@@ -1,1 +1,1 @@
-"""Functions of a batch made fast: recorded, printed as C, built and loaded. It knows nothing of spacecraft."""
+"""Fast functions of a batch: recorded, printed as C, built and loaded. This package knows nothing of spacecraft."""

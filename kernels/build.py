@@ -1,4 +1,4 @@
-"""C built into shared libraries, which are kept across runs."""
+"""C code built into shared libraries, which are kept across runs."""
 
 import ctypes
 import functools
@@ -19,10 +19,10 @@ from pathlib import Path
 
 from processors import processors
 
-VARIABLE = "RTA_CACHE_DIR"  # the directory of what was built, instead of the user's cache directory
-COMPILERS = ("clang", "gcc", "cc")  # what clang builds takes a tenth less time, with the same bits
-# No product is fused with a sum, so that all vector widths, and plain C, give the same bits. What is printed for one
-# spacecraft is not made into vectors: to look for these takes clang a third of its time, and brings nothing.
+VARIABLE = "RTA_CACHE_DIR"  # names a directory for built libraries, instead of the user's cache directory
+COMPILERS = ("clang", "gcc", "cc")  # clang's code takes 10 % less time, with the same bits
+# No product is fused with a sum, so that all vector widths, and plain C, give the same bits. Code printed for one
+# spacecraft is not vectorised: the search for vectors takes clang a third of its time and finds none.
 FLAGS = (
     "-std=gnu11",
     "-O2",
@@ -32,12 +32,13 @@ FLAGS = (
     "-w",
     "-fno-tree-slp-vectorize",
 )
-# Flags beside these, the first that the compiler knows: for all that this processor can do, in its widest vectors, and
-# without searches for what several ways compute, which take half of the time and find nothing where there is one way.
+# Additional flags; the first set that the compiler knows is used. They allow all instructions of this processor and its
+# widest vectors. They turn off searches for computations shared by branches: these searches take half of the time, and
+# code without branches has none.
 NATIVE = "-march=native" if platform.machine().lower() in ("x86_64", "amd64", "i686") else "-mcpu=native"
 CHOICES = ([NATIVE, "-mprefer-vector-width=512", "-fno-tree-pre", "-fno-code-hoisting"], [NATIVE])
-WORK = "build-"  # how directories of what is being built begin
-ABANDONED = 3600.0  # s after which a process that was to clear its own away did not live to do so
+WORK = "build-"  # the beginning of the names of directories for unfinished builds
+ABANDONED = 3600.0  # s after which such a directory is removed, because its process must have been killed
 
 # functions of math.h
 QUICK = ("sqrt", "rint", "floor", "ceil", "trunc")  # single instructions
@@ -48,20 +49,20 @@ OF_TWO = ("atan2", "pow", "fmod", "hypot", "copysign")
 
 
 class NoCompilerError(OSError):
-    """There is no C compiler here, or none that works; says which and why in a line."""
+    """Signals that no C compiler exists here, or that none works; says which and why in a line."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
-        self.strerror = reason  # as those who catch any OSError show it
+        self.strerror = reason  # code that catches any OSError shows this
 
 
 def library(sources: Mapping[str, str]) -> ctypes.CDLL:
-    """C sources, by name, as one shared library: from the cache where it holds the same.
+    """Returns C sources, by name, as one shared library; the cache provides it if it holds the same sources.
 
-    Where the cache cannot be used, a line on stderr says so and the library lasts as long as this process.
+    If the cache cannot be used, a line on stderr says so, and the library lasts as long as this process.
 
     Raises:
-        NoCompilerError: there is no working compiler.
+        NoCompilerError: no compiler works.
     """
     whole = repr((sorted(sources.items()), FLAGS, CHOICES, versions(), processor()))
     name = hashlib.sha256(whole.encode()).hexdigest()[:32]
@@ -76,7 +77,7 @@ def library(sources: Mapping[str, str]) -> ctypes.CDLL:
 
 
 def cache_dir() -> Path | None:
-    """Where libraries are kept: $RTA_CACHE_DIR, or the user's cache directory; None without a home."""
+    """Returns where libraries are kept: $RTA_CACHE_DIR, or the user's cache directory; None without a home."""
     if chosen := os.environ.get(VARIABLE):
         return Path(chosen)
     with suppress(RuntimeError):  # the user has no home
@@ -87,7 +88,7 @@ def cache_dir() -> Path | None:
 
 
 def kept(directory: Path, name: str) -> ctypes.CDLL | None:
-    """The library of this name in the cache; None where there is none, or one that is not as it was built.
+    """Returns the library of this name from the cache, or None if it is missing or damaged.
 
     A truncated library would end the process when it is loaded, so its name holds its contents' digest.
     """
@@ -102,7 +103,7 @@ def kept(directory: Path, name: str) -> ctypes.CDLL | None:
 
 
 def made_and_kept(sources: Mapping[str, str], directory: Path, name: str) -> ctypes.CDLL:
-    """Builds a library in the cache; where that fails, elsewhere."""
+    """Builds a library in the cache, or elsewhere if that fails."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         clear(directory)
@@ -115,7 +116,7 @@ def made_and_kept(sources: Mapping[str, str], directory: Path, name: str) -> cty
 
 
 def moved(built: Path, directory: Path, name: str) -> Path:
-    """Puts a library into the cache, whole or not at all: other processes may be doing the same."""
+    """Puts a library into the cache, whole or not at all, since other processes may do the same."""
     path = directory / f"{name}.{digest(built)}.so"
     os.replace(built, path)
     for other in directory.glob(f"{name}.*.so"):
@@ -126,7 +127,7 @@ def moved(built: Path, directory: Path, name: str) -> Path:
 
 
 def clear(directory: Path) -> None:
-    """Removes what processes that were killed left in the cache."""
+    """Removes from the cache the files of processes that were killed."""
     for work in directory.glob(f"{WORK}*"):
         with suppress(OSError):
             if time.time() - work.stat().st_mtime > ABANDONED:
@@ -134,7 +135,7 @@ def clear(directory: Path) -> None:
 
 
 def digest(path: Path) -> str:
-    """Of a file's contents."""
+    """Returns the digest of a file's contents."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
@@ -142,7 +143,7 @@ def digest(path: Path) -> str:
 
 
 def made(sources: Mapping[str, str]) -> ctypes.CDLL:
-    """Builds a library that no file is left of; NoCompilerError where that fails."""
+    """Builds a library of which no file remains; raises NoCompilerError if that fails."""
     try:
         with tempfile.TemporaryDirectory(prefix=WORK, ignore_cleanup_errors=True) as work:
             path = built(sources, Path(work))
@@ -157,7 +158,7 @@ def made(sources: Mapping[str, str]) -> ctypes.CDLL:
 
 
 def built(sources: Mapping[str, str], work: Path) -> Path:
-    """Compiles sources in a directory of their own, some at once, and links them, by the first compiler that does."""
+    """Compiles sources in a directory of their own, in parallel, and links them, by the first compiler that can."""
     for name, text in sources.items():
         (work / f"{name}.c").write_text(text, encoding="utf-8")
     result, failures = work / "library.so", []
@@ -171,13 +172,13 @@ def built(sources: Mapping[str, str], work: Path) -> Path:
                 list(threads.map(lambda name: call("-c", f"{name}.c", "-o", f"{name}.o"), sources))
             call("-shared", *(f"{name}.o" for name in sources), "-o", result.name, "-lm")
             return result
-        except NoCompilerError as error:  # it may not know the options
+        except NoCompilerError as error:  # this compiler may not know the options
             failures.append(error)
     raise failures[0]
 
 
 def output(command: Sequence[str], work: Path | None = None) -> str:
-    """What a call of the compiler prints; NoCompilerError where it fails."""
+    """Returns what a call of the compiler prints; raises NoCompilerError if it fails."""
     own = {"LC_ALL": "C"} | ({"TMPDIR": str(work)} if work else {})
     try:
         done = subprocess.run(
@@ -193,20 +194,20 @@ def output(command: Sequence[str], work: Path | None = None) -> str:
 
 
 def compiler() -> tuple[str, ...]:
-    """The command of the first of `compilers`."""
+    """Returns the command of the first of `compilers`."""
     return compilers()[0]
 
 
 def compilers() -> list[tuple[str, ...]]:
-    """The C compilers' commands, the best one first: $CC alone, which may have arguments, or COMPILERS that are there.
+    """Returns the C compilers' commands, the best first: $CC alone, perhaps with arguments, or the COMPILERS found.
 
     Raises:
-        NoCompilerError: there is none.
+        NoCompilerError: no compiler is found.
     """
     chosen = os.environ.get("CC", "").strip()
     found = []
     for name in [chosen] if chosen else COMPILERS:
-        with suppress(ValueError):  # of quotes that are not closed
+        with suppress(ValueError):  # raised for quotes that are not closed
             for words in ([name], shlex.split(name)):
                 if path := shutil.which(words[0]):
                     found.append((path, *words[1:]))
@@ -219,7 +220,7 @@ def compilers() -> list[tuple[str, ...]]:
 
 
 def versions() -> list[str]:
-    """The compilers' commands, and what the first one that works says of itself."""
+    """Returns the compilers' commands, and the version text of the first one that works."""
     failures = []
     for command in compilers():
         try:
@@ -231,32 +232,32 @@ def versions() -> list[str]:
 
 @functools.cache
 def version(command: tuple[str, ...]) -> str:
-    """What a compiler says of itself."""
+    """Returns a compiler's version text."""
     return output((*command, "--version"))
 
 
 @functools.cache
 def processor() -> str:
-    """What compiled code may rely on: the processor's instructions, or its name where Linux does not list them."""
+    """Returns the processor's instructions, on which compiled code relies, or its name if Linux does not list them."""
     with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as file:
         return next((line for line in file if line.startswith(("flags", "Features"))), platform.machine())
     return platform.processor()
 
 
-# what stands before printed functions
+# text before printed functions
 
 
 @functools.cache
 def vector_bytes() -> int:
-    """Of the processor's widest vectors; wider ones than these are three times as slow."""
+    """Returns the size in bytes of the processor's widest vectors; wider ones would be three times slower."""
     known = processor().split()
     return 64 if "avx512f" in known else 32 if "avx" in known else 16
 
 
 def for_vectors(real: str) -> str:
-    """What stands before functions that are printed for vectors of numbers, "double" or "float"."""
+    """Returns the text before functions printed for vectors of numbers, "double" or "float"."""
     lanes = vector_bytes() // (8 if real == "double" else 4)
-    whole = "long" if real == "double" else "int"  # what comparisons give
+    whole = "long" if real == "double" else "int"  # the type of comparisons' results
     head = [f"#define W {lanes}", f"typedef {whole} whole;", "#include <stdint.h>"]
     head += ["#include <stdlib.h>", "#include <string.h>"]
     head.append(f"#define LANES(f) {', '.join(f'f(a[{lane}])' for lane in range(lanes))}")
@@ -271,21 +272,24 @@ def for_vectors(real: str) -> str:
 
 
 def macro(name: str, real: str) -> str:
-    """What a function of math.h is called before `functions.h`, which has names of OWN for functions of its own."""
+    """Returns the name of a math.h function in C before `functions.h`.
+
+    Names of OWN belong to the functions of `functions.h`.
+    """
     return f"LIBRARY_{name.upper()}" if real == "double" and name in OWN else name.upper()
 
 
 def numbers(real: str) -> list[str]:
-    """The type of numbers, and their functions."""
+    """Returns the type of numbers, and the header of their functions."""
     return [f"typedef {real} real;", "#include <math.h>"]
 
 
 def header(name: str) -> str:
-    """A file beside this one."""
+    """Returns the text of a file beside this one."""
     return (Path(__file__).parent / name).read_text(encoding="utf-8")
 
 
 @functools.cache
 def say(line: str) -> None:
-    """One line on stderr, once."""
+    """Prints a line on stderr, once."""
     print(line, file=sys.stderr)

@@ -1,4 +1,4 @@
-"""What takes seconds to record, kept across runs beside the libraries that are built of it."""
+"""Recordings, which take seconds to make, kept across runs beside the libraries built from them."""
 
 import hashlib
 import os
@@ -17,9 +17,9 @@ R = TypeVar("R")
 
 
 def remembered(function: Callable[P, R], *given: P.args, **named: P.kwargs) -> R:
-    """What a function returns, from the cache where it was called with the same before, see `digest`.
+    """Returns what a function returns, from the cache if it was called with the same arguments before, see `digest`.
 
-    Nothing is kept where it cannot be told what the function computes, or the cache cannot be used.
+    Nothing is kept if the digest cannot tell what the function computes, or if the cache cannot be used.
     """
     directory = cache_dir()
     name = digest(function, given, named) if directory else None
@@ -30,16 +30,16 @@ def remembered(function: Callable[P, R], *given: P.args, **named: P.kwargs) -> R
         return pickle.loads(contents(path))
     except FileNotFoundError:
         pass
-    except Exception as error:  # whatever is there
+    except Exception as error:  # the file may hold anything
         say(f"{path}: {error}; recorded anew")
     result = function(*given, **named)
-    with suppress(OSError):  # of which `library` speaks
+    with suppress(OSError):  # `library` reports it
         keep(path, pickle.dumps(result))
     return result
 
 
 def keep(path: Path, contents: bytes) -> None:
-    """Puts a file into the cache, whole or not at all: other processes may be doing the same."""
+    """Puts a file into the cache, whole or not at all, since other processes may do the same."""
     path.parent.mkdir(parents=True, exist_ok=True)
     clear(path.parent)
     with tempfile.TemporaryDirectory(prefix=WORK, dir=path.parent) as work:
@@ -49,7 +49,7 @@ def keep(path: Path, contents: bytes) -> None:
 
 
 def contents(path: Path) -> bytes:
-    """What `keep` put there; ValueError where it did not, or under another name."""
+    """Returns what `keep` stored; raises ValueError if the file was not written by `keep` under this name."""
     whole = path.read_bytes()
     given, found = whole[:32], whole[32:]
     if given != seal(path.name, found):
@@ -58,5 +58,5 @@ def contents(path: Path) -> bytes:
 
 
 def seal(name: str, contents: bytes) -> bytes:
-    """SHA-256 of what is kept and of its name."""
+    """Returns the SHA-256 of a file's name and contents."""
     return hashlib.sha256(name.encode() + contents).digest()

@@ -1,8 +1,8 @@
 """Records the control flow of `columns`: every called function becomes a C function.
 
-A call or a loop is one expression of all values that it is given, and its results are expressions of it. A function for
-vectors receives a mask `on` of the columns that need it, and passes on at most this mask. A function of one column is
-called only where it is needed, without a mask.
+A call or a loop is one expression of all its arguments, and its results are expressions of it. A function for vectors
+receives a mask `on` of the columns that need it, and passes on at most this mask. A function of one column is called
+only where it is needed, without a mask.
 """
 
 import functools
@@ -22,28 +22,28 @@ from kernels.operations.shapes import filled
 from kernels.parts import Called, Part, Recorded, part_of
 from kernels.recorder import Recorder, evaluated
 
-# names that the headers and printed text have themselves
+# names that the headers and printed text use themselves
 HEADERS = "vector.h", "scalar.h", "functions.h", "waiting.h"
 TEXT = re.compile(
     "t[0-9]+.*|on|[ik]|next_.*|(segment|loop)_[0-9]+|SEGMENTS_.*|LOOPS_.*|(load|store)_.*|mem...|straight|turns|next|start|end|in|in_step|"
     "at|column|count|first|lanes?|last|list|out|out_step|ready|there|to|wants|work"
 )
-ONCE = "once"  # how often `when` calls a function
+ONCE = "once"  # the number of calls by `when`
 
 
 class Recording(Recorder):
-    """A recorder of a function with control flow, as `columns` asks for it."""
+    """Records a function with control flow, by the methods that `columns` calls."""
 
     def loop(self, *given: Any) -> list[Tensor]:
-        """See `loop`."""
+        """Records a loop, see `loop`."""
         return loop(self, *given)
 
     def when(self, *given: Any) -> list[Tensor]:
-        """See `when`."""
+        """Records a conditional call, see `when`."""
         return when(self, *given)
 
     def call(self, *given: Any) -> Any:
-        """See `call`."""
+        """Records a call, see `call`."""
         return call(self, *given)
 
 
@@ -55,7 +55,7 @@ def recorded(
     long: int,
     single: bool,
 ) -> tuple[Recorded, Called]:
-    """A function, and all that it calls; arguments as of `kernels.printer.printed`."""
+    """Returns a recorded function, and all functions that it calls; arguments as in `kernels.printer.printed`."""
     given, results = names or ([f"x{i}" for i in range(len(examples))], None)
     kinds = {part_of(each, x).kind for each, x in zip(given, examples, strict=True)}
     for real in ("float", "double") if {"float"} <= kinds <= {"float", "bool"} else ("double",):
@@ -80,8 +80,8 @@ def record(
 
     Args:
         given, results: names of its arguments and results (None: its named tuple's fields, else result_0, result_1,
-        ...).
-        is_own: they are made fit for C; else who prints it has chosen them.
+            ...).
+        is_own: make these names valid in C; else the caller has chosen them.
     """
     if is_own:
         given = fit(given)
@@ -110,17 +110,17 @@ def record(
 
 
 def like(returned: Any) -> Callable[[list[Tensor]], Any]:
-    """Returns a function that turns a list of tensors into what was returned: a tensor, a named tuple, or a list."""
+    """Returns a function that turns a list of tensors into the type of `returned`: a tensor, named tuple or list."""
     if isinstance(returned, Tensor):
         return lambda tensors: tensors[0]
     return type(returned)._make if hasattr(returned, "_make") else list
 
 
-# what `columns` records
+# functions that `columns` calls
 
 
 def call(recorder: Recorder, function: Callable[..., Any], given: Sequence[Any], long: int, name: str) -> Any:
-    """A function that is printed once."""
+    """Records a call of a function that is printed once."""
     callee = one(recorder, function, function, given, None, long, name)
     found = recorder.program.make("call", callee.name, recorder.on, *values_of(recorder, given))
     return callee.like(results_of(recorder, callee, found))
@@ -136,7 +136,7 @@ def loop(
     waits: bool,
     long: int,
 ) -> list[Tensor]:
-    """A loop, whose body is printed as a function."""
+    """Records a loop, whose body is printed as a function."""
 
     def turn(*all_given: Any) -> list[Tensor]:
         following, goes_on = body(*all_given)
@@ -160,7 +160,7 @@ def when(
     long: int,
     name: str,
 ) -> list[Tensor]:
-    """A function that is called where a condition holds."""
+    """Records a function that is called where a condition holds."""
     callee = one(recorder, function, function, given, None, long, name)
     values = [*values_of(recorder, otherwise), *values_of(recorder, given)]
     return repeated(recorder, callee, condition, ONCE, waits, otherwise, values)
@@ -204,7 +204,7 @@ def one(
     """Records a function once for each kind of arguments (`told_apart`), and returns the recording.
 
     Args:
-        key: tells the function from others.
+        key: identifies the function.
     """
     called = recorder.called
     known = key, long, name, *map(told_apart, given)
@@ -235,7 +235,7 @@ def told_apart(given: Any) -> Any:
 
 
 def leaves(name: str, given: Any) -> list[str]:
-    """The names of the tensors in what a function calls by a name."""
+    """Returns the names of the tensors in an argument, from the argument's name."""
     if isinstance(given, Tensor):
         return [name]
     if not has_tensors(given):
@@ -247,10 +247,10 @@ def leaves(name: str, given: Any) -> list[str]:
 
 
 def names_of(function: Callable[..., Any], given: Sequence[Any]) -> list[str]:
-    """Returns what a function calls its arguments, where it has a name for one, else x0, x1, ..."""
+    """Returns a function's names for its arguments, or x0, x1, ... for arguments without a name."""
     try:
         parameters = inspect.signature(function).parameters.items()
-    except ValueError:  # of a function of PyTorch's
+    except ValueError:  # raised for a function of PyTorch
         parameters = {}.items()
     named = [name for name, p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
     named += [f"x{i}" for i in range(len(named), len(given))]
@@ -258,7 +258,7 @@ def names_of(function: Callable[..., Any], given: Sequence[Any]) -> list[str]:
 
 
 def fit(names: Sequence[str]) -> list[str]:
-    """Makes names that C lets arguments and results of one function have: each its own, and nothing else's."""
+    """Makes names that are valid in C for arguments and results of one function: all different and unused elsewhere."""
     found: list[str] = []
     for name in names:
         own = re.sub(r"^(?=[0-9]|next_)", "x_", re.sub(r"\W", "", name).strip("_") or "x")
@@ -271,14 +271,14 @@ def fit(names: Sequence[str]) -> list[str]:
 
 @functools.cache
 def is_free(name: str) -> bool:
-    """Tells whether C, its headers here, and printed text leave a name to others."""
+    """Checks whether C, its headers here, and printed text do not use a name."""
     taken = TAKEN.fullmatch(name) or TEXT.fullmatch(name) or not re.fullmatch("[a-z][a-zA-Z0-9_]*", name)
     return not taken and name not in words()
 
 
 @functools.cache
 def words() -> frozenset[str]:
-    """Returns what the headers define: functions and types."""
+    """Returns the names of functions and types that the headers define."""
     defined = re.compile(
         r"^static [^(]*?\b(\w+)\(|^typedef .*?\b(\w+)(?:\(.*\)| __attribute__.*)?;|^struct (\w+) {",
         re.MULTILINE,
@@ -288,7 +288,7 @@ def words() -> frozenset[str]:
 
 
 def values_of(recorder: Recorder, given: Sequence[Any]) -> list[Value]:
-    """All values of the tensors among what is given, as their types have them."""
+    """Returns all values of the tensors among the arguments, in the tensors' types."""
     p, found = recorder.program, list[Value]()
     for x in tensors_in(given):
         found += [p.mask(v) if x.dtype == torch.bool else p.number(v) for v in recorder.values(x).flat]
@@ -298,7 +298,7 @@ def values_of(recorder: Recorder, given: Sequence[Any]) -> list[Value]:
 
 
 def results_of(recorder: Recorder, callee: Recorded, called: Expression) -> list[Tensor]:
-    """The results of a call or a loop, as tensors that are known to the recorder."""
+    """Returns the results of a call or a loop as tensors that the recorder knows."""
     found = []
     for part, dtype in zip(callee.outputs, callee.dtypes, strict=True):
         with recorder.aside():
@@ -315,5 +315,5 @@ def results_of(recorder: Recorder, callee: Recorded, called: Expression) -> list
 
 
 def result(called: Expression, part: Part, i: int) -> str:
-    """What C calls a component of a result."""
+    """Returns the name in C of a component of a result."""
     return f"t{called.index}_{part.name}[{i}]"

@@ -1,4 +1,4 @@
-"""Functions of a batch, compiled: printed as C on a CPU, by torch.compile on CUDA."""
+"""Compiled functions of a batch: printed as C on a CPU, by torch.compile on CUDA."""
 
 import ctypes
 import math
@@ -17,10 +17,10 @@ from kernels.build import for_vectors, header
 from kernels.printer import Part, Printed, printed
 from kernels.waiting import INCLUDE
 
-WORTH_A_THREAD = 6e-5  # s of computing that repay handing a share to a thread
-WORTH_A_FILE = 4000  # lines of C that another process of the compiler repays
-SHARED = '__attribute__((visibility("hidden")))'  # by the files of a library, with nobody else
-PROBED = 512  # columns whose time says what a column takes
+WORTH_A_THREAD = 6e-5  # s of computing from which on a thread for a share is worth its overhead
+WORTH_A_FILE = 4000  # lines of C from which on another process of the compiler is worth its overhead
+SHARED = '__attribute__((visibility("hidden")))'  # visible only to the files of a library
+PROBED = 512  # columns that are timed to know the time of a column
 
 DTYPES = {"double": torch.float64, "float": torch.float32, "bool": torch.bool, "long": torch.int64}
 
@@ -28,7 +28,7 @@ Parts = list[Tensor]
 
 
 class Compiled:
-    """A function of tensors (..., B) to several tensors (..., B) whose columns are independent, compiled.
+    """Compiles a function of tensors (..., B) to several tensors (..., B) whose columns are independent.
 
     Args:
         function: what to compile; without control flow that depends on values.
@@ -37,7 +37,7 @@ class Compiled:
         long: length of an axis that is looped over, see `printed`.
 
     Raises:
-        NoCompilerError: there is no working C compiler.
+        NoCompilerError: no C compiler works.
         NotImplementedError: the function cannot be printed.
     """
 
@@ -54,9 +54,12 @@ class Compiled:
             self.run = torch.compile(with_own_code(function), dynamic=True)
             self(*(example.expand(*example.shape[:-1], batch).contiguous() for example in examples))
 
-    @torch.no_grad()  # a mode that torch.compile's code is specialised to
+    @torch.no_grad()  # torch.compile specialises its code to this mode
     def __call__(self, *tensors: Tensor, times: int = 1) -> Parts:
-        """What `function` returns, or after `times` calls in a row, each with the last result for its first tensor."""
+        """Returns `function`'s results, or those after `times` calls in a row.
+
+        Each further call has the last result as its first tensor.
+        """
         if isinstance(self.run, Kernel):
             return self.run(*tensors, times=times)
         parts = self.run(*tensors)
@@ -66,11 +69,11 @@ class Compiled:
 
 
 class Kernel:
-    """A printed function of batches, on as many of PyTorch's threads as it is worth.
+    """Runs a printed function on batches, with as many of PyTorch's threads as are worth their overhead.
 
     Args:
-        examples: arguments of one column, whose time tells what a column takes.
-        library: that `batch(function)` is in; None: one of its own.
+        examples: arguments of one column, to time a column with.
+        library: contains `batch(function)`; None: make one.
     """
 
     def __init__(
@@ -84,12 +87,12 @@ class Kernel:
         self.run.argtypes = [ctypes.c_long, ctypes.c_long, *[ctypes.c_void_p] * 4, ctypes.c_long]
         self.run.restype = ctypes.c_long
         self.waits = bool(function.waiting)
-        self.seconds = 0.0  # of a column
+        self.seconds = 0.0  # time of a column; 0: not known yet
         probe = [examples[i].expand(*examples[i].shape[:-1], PROBED).contiguous() for i in self.inputs]
         self.seconds = min(timed(self.of, probe, PROBED) for _ in range(3)) / PROBED
 
     def __call__(self, *tensors: Tensor, times: int = 1) -> Parts:
-        """What the function returns, or after several calls in a row, see `batch`.
+        """Returns the function's results, or those after several calls in a row, see `batch`.
 
         Raises ValueError for several calls of a function with loops that wait.
         """
@@ -98,7 +101,7 @@ class Kernel:
         return self.of([tensors[i] for i in self.inputs], tensors[0].shape[-1], times)
 
     def of(self, tensors: Sequence[Tensor], columns: int, times: int = 1) -> Parts:
-        """What the function returns of arguments that have components; ValueError where they are none of its own."""
+        """Returns the function's results for arguments that have components; raises ValueError if they do not fit."""
         for part, x in zip(self.parts, tensors, strict=True):
             check(part.name, x, DTYPES[part.kind], (*part.shape, columns))
         results = [
@@ -117,10 +120,10 @@ class Kernel:
 
 
 def sources(function: Printed, apart: bool = True) -> dict[str, str]:
-    """A printed function and `batch` of it in C, by file.
+    """Returns a printed function and its `batch` in C, by file.
 
     Args:
-        apart: of a long one what it calls is a file of its own, which is compiled beside it.
+        apart: functions called by a long function get a file of their own, which is compiled in parallel.
     """
     head, own = for_vectors(function.real), function.text + batch(function)
     if function.waiting:
@@ -136,7 +139,7 @@ def sources(function: Printed, apart: bool = True) -> dict[str, str]:
 
 
 def check(name: str, x: Tensor, dtype: torch.dtype, shape: tuple[int, ...]) -> None:
-    """Raises ValueError where a tensor is not what C reads: its type and shape, on the CPU."""
+    """Raises ValueError if a tensor is not what C reads: its type and shape, on the CPU."""
     if x.dtype != dtype or x.shape != shape or not x.is_cpu:
         raise ValueError(
             f"{name}: {x.dtype} {tuple(x.shape)} on {x.device}: must be {dtype} {shape} on the CPU"
@@ -144,9 +147,9 @@ def check(name: str, x: Tensor, dtype: torch.dtype, shape: tuple[int, ...]) -> N
 
 
 def batch(function: Printed) -> str:
-    """The C function that runs a printed one over columns: NAME_batch(first, last, in, steps, out, steps, times).
+    """Returns in C the loop of a printed function over columns: NAME_batch(first, last, in, steps, out, steps, times).
 
-    It runs several times in a row, each with the last result for its first argument, until that stays as it is.
+    It runs several times in a row, each with the last result for its first argument, until this result does not change.
     """
     inputs, outputs = function.inputs, function.outputs
     both = (*inputs, *outputs)
@@ -171,7 +174,7 @@ def batch(function: Printed) -> str:
 
 
 def repeated(function: Printed, call: str) -> list[str]:
-    """The lines of C that call a function again, if its first result may be its first argument."""
+    """Returns the lines of C that call a function again, if its first result may be its first argument."""
     if not function.inputs or not function.outputs:
         return []
     start, end = function.inputs[0], function.outputs[0]
@@ -186,31 +189,31 @@ def repeated(function: Printed, call: str) -> list[str]:
 
 
 def moved(part: Part, place: str, step: str, how: str) -> str:
-    """The line of C that loads or stores a part's components of W columns."""
+    """Returns the line of C that loads or stores a part's components of W columns."""
     line = how.format(part.name, part.kind, f"{place}, k * {step} + column, lanes")
     return f"        for (long k = 0; k < {part.size}; k++) {{ {line} }}"
 
 
 def strided(x: Tensor) -> Tensor:
-    """x (..., B) as (components, B), as it lies if columns are neighbours and components evenly apart; else a copy."""
+    """Returns x (..., B) as (components, B): a view if columns are neighbours, components evenly apart, else a copy."""
     flat = x.reshape(math.prod(x.shape[:-1]), x.shape[-1])
     return flat if flat.stride(1) == 1 or flat.shape[1] == 1 else flat.contiguous()
 
 
 def pointers(tensors: Sequence[Tensor]) -> tuple[Any, Any]:
-    """Where tensors (..., B) begin, and how far apart their components are, as C takes them."""
+    """Returns where tensors (..., B) begin, and how far apart their components are, as C takes them."""
     count = len(tensors)
     places = (ctypes.c_void_p * count)(*(x.data_ptr() for x in tensors))
     steps = (ctypes.c_long * count)(*(x.stride(-2) if x.dim() > 1 else 0 for x in tensors))
     return places, steps
 
 
-most_threads: int | None = None  # that share a batch's columns; None: as many as PyTorch has
+most_threads: int | None = None  # limit of threads that share a batch's columns; None: PyTorch's number
 POOLS: dict[int, ThreadPoolExecutor] = {}
 
 
 def with_one_thread() -> None:
-    """Has a forked process compute with one thread: it inherits no other, and PyTorch would wait for its own ones."""
+    """Makes a forked process use one thread: it inherits no others, and PyTorch would wait for its own threads."""
     global most_threads
     POOLS.clear()
     most_threads = None
@@ -221,11 +224,11 @@ os.register_at_fork(after_in_child=with_one_thread)
 
 
 def in_shares(run: Callable[[int, int], int], columns: int, seconds: float) -> int:
-    """Runs over columns in as many ranges as there are threads, if each then has enough to do; sums what it returns.
+    """Runs over columns in as many ranges as there are threads, if each has enough to do; sums the results.
 
     Args:
         run: of columns first to last.
-        seconds: that a column takes.
+        seconds: time of a column.
     """
     shares = int(columns * seconds / WORTH_A_THREAD)
     shares = min(most_threads or torch.get_num_threads(), shares) if shares > 1 else shares
@@ -239,14 +242,15 @@ def in_shares(run: Callable[[int, int], int], columns: int, seconds: float) -> i
     try:
         own = run(0, min(size, columns))
     finally:
-        wait(others)  # which write into tensors that an error would free
+        wait(others)  # they write into tensors that an error would free
     return own + sum(other.result() for other in others)
 
 
 def with_own_code(function: Callable[..., Parts]) -> FunctionType:
-    """A function, a method or a partial as a function with code of its own, which `torch.compile` counts by.
+    """Returns a function, a method or a partial as a function with a code object of its own.
 
-    Functions that share code have eight recompilations between them; what is compiled after those runs uncompiled.
+    `torch.compile` counts recompilations by code object: functions that share one have eight recompilations together,
+    and further ones run uncompiled.
     """
 
     def run(*tensors: Tensor) -> Parts:
@@ -256,7 +260,7 @@ def with_own_code(function: Callable[..., Parts]) -> FunctionType:
 
 
 def timed(function: Callable[..., Any], *arguments: Any) -> float:
-    """s that a call takes."""
+    """Returns the time of a call in s."""
     started = time.perf_counter()
     function(*arguments)
     return time.perf_counter() - started

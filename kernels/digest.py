@@ -1,7 +1,7 @@
 """A digest of what a function computes: of its code, its constants, and all that these reach.
 
-The code is the loaded one, so that what a program puts in a part's place counts as much as a line that was edited. Code
-of the interpreter, PyTorch and their like goes by name and version. Files that a function reads are not seen.
+The code is the loaded one, so that a part that a program replaced counts as much as an edited line. Code of the
+interpreter, PyTorch and similar libraries counts by name and version. Files that a function reads are not seen.
 """
 
 import dis
@@ -29,11 +29,11 @@ LIBRARIES = {
     "numpy",
     "scipy",
     "piqp",
-}  # whose code goes by name
+}  # their code counts by name
 OF_RUNS = {
     f"kernels.{name}" for name in ("build", "cache", "compiled", "digest")
-}  # nothing that is recorded there
-BY_TEXT = {"getattr", "vars", "globals", "eval", "exec"}  # with which code reads what it does not name
+}  # nothing in these modules is recorded
+BY_TEXT = {"getattr", "vars", "globals", "eval", "exec"}  # with these, code reads names that it lacks
 PYTHON = Path(sysconfig.get_path("stdlib"))
 SLOT = types.MemberDescriptorType
 IMPORT = dis.opmap["IMPORT_NAME"]
@@ -46,18 +46,18 @@ UNREAD = {"__dict__", "__weakref__", "__doc__", "__annotations__", "__abstractme
 
 
 class Reached:
-    """A module, as far as code with these names reads it."""
+    """Holds a module, as far as code with these names reads it."""
 
     def __init__(self, module: types.ModuleType, names: frozenset[str]) -> None:
         self.module, self.names = module, names
 
 
 def digest(*things: Any) -> str | None:
-    """Of functions and what they are given, the same in every process; None where it cannot be told what they reach."""
+    """Returns a digest of functions and arguments, the same in every process; None if what they reach is unknown."""
     versions = platform.python_version(), torch.__version__, np.__version__, torch.get_default_dtype()
     found: list[str] = []
     places: dict[Any, int] = {}
-    kept, left = [], [*versions, *things]  # kept, so that no other thing is given its id
+    kept, left = [], [*versions, *things]  # things are kept, so that no other thing gets their id
     try:
         while left:
             thing = left.pop()
@@ -76,34 +76,34 @@ def digest(*things: Any) -> str | None:
             found.append(f"{kind.__qualname__}({len(parts)});")
             left += reversed(parts)
         return hashlib.sha256("".join(found).encode()).hexdigest()[:32]
-    except Exception:  # of what is no function, no data and no object of these
+    except Exception:  # for things that are no functions, data or objects of these
         return None
 
 
 @functools.cache
 def of_kind(kind: type) -> Callable[[Any], Iterable[Any]] | None:
-    """What tells a thing of a type from others of it; None: its text."""
+    """Returns the function that gives the identifying parts of a thing of this type; None: its text identifies it."""
     if issubclass(kind, PLAIN):
         return None
     return next((parts for kinds, parts in PARTS if issubclass(kind, kinds)), of_object)
 
 
 def is_library(module: str | None) -> bool:
-    """Whether the code of a module, by its name, goes by name."""
+    """Checks whether the code of a module, given by name, counts by name."""
     top = (module or "builtins").partition(".")[0]
     return (top in LIBRARIES and is_installed(top)) or module in OF_RUNS
 
 
 @functools.cache
 def is_installed(top: str) -> bool:
-    """Whether a module of a library's name is the library's, and not somebody's own `statistics.py`."""
+    """Checks whether a module of a library's name is the library's, and not, for example, a user's `statistics.py`."""
     found = importlib.util.find_spec(top)
     path = Path(found.origin if found and found.has_location and found.origin else PYTHON)
     return path.is_relative_to(PYTHON) or not {"site-packages", "dist-packages"}.isdisjoint(path.parts)
 
 
 def of_function(f: types.FunctionType) -> Iterator[Any]:
-    """Its code or name, all that the code names, and what it was made with."""
+    """Yields a function's code or name, all that the code names, and what it was made with."""
     yield from (f.__defaults__, f.__kwdefaults__, f.__closure__, vars(f))
     where = f.__globals__
     if is_library(where.get("__name__")):
@@ -123,7 +123,7 @@ def of_function(f: types.FunctionType) -> Iterator[Any]:
 
 
 def nested(code: types.CodeType) -> Iterator[types.CodeType]:
-    """Code, and that of functions in it."""
+    """Yields code, and the code of functions in it."""
     yield code
     for each in code.co_consts:
         if isinstance(each, types.CodeType):
@@ -131,12 +131,12 @@ def nested(code: types.CodeType) -> Iterator[types.CodeType]:
 
 
 def reached(value: Any, names: frozenset[str]) -> Any:
-    """What code with these names reads of a value: of a module some."""
+    """Returns what code with these names reads of a value: of a module, only a part."""
     return Reached(value, names) if isinstance(value, types.ModuleType) else value
 
 
 def of_module(it: Reached) -> Iterator[Any]:
-    """Its name, and what is read of it where its code does not go by name."""
+    """Yields a module's name and, unless its code counts by name, its parts that are read."""
     yield it.module.__name__
     if not is_library(it.module.__name__):
         own = vars(it.module)
@@ -146,7 +146,7 @@ def of_module(it: Reached) -> Iterator[Any]:
 
 
 def of_class(it: type) -> Iterator[Any]:
-    """Its name, and what it holds where its code does not go by name."""
+    """Yields a class's name and, unless its code counts by name, its members."""
     yield f"{it.__module__}.{it.__qualname__}"
     if not is_library(it.__module__):
         yield from it.__bases__
@@ -156,7 +156,7 @@ def of_class(it: type) -> Iterator[Any]:
 
 
 def of_object(it: Any) -> Iterator[Any]:
-    """Its class and its state; where the class is a library's, as pickling has them."""
+    """Yields an object's class and its state; for a library's class, the state as pickled."""
     kind = type(it)
     if kind in (dict, list, tuple):
         yield from it.items() if kind is dict else it
@@ -172,7 +172,7 @@ def of_object(it: Any) -> Iterator[Any]:
 
 
 def of_set(it: Collection[Any]) -> list[str]:
-    """Its members' texts, in order, none of which may be of a place in memory."""
+    """Returns the sorted texts of a set's members; raises TypeError if one contains a place in memory."""
     texts = sorted(map(repr, it))
     if any(" at 0x" in text for text in texts):
         raise TypeError(texts)
@@ -180,7 +180,7 @@ def of_set(it: Collection[Any]) -> list[str]:
 
 
 def of_builtin(it: Any) -> tuple[Any, ...]:
-    """Its name, and what it is a method of."""
+    """Returns a builtin's name, and what it is a method of."""
     return it.__qualname__, *(getattr(it, name, None) for name in ("__module__", "__objclass__", "__self__"))
 
 
@@ -195,7 +195,7 @@ PARTS: list[tuple[Any, Callable[[Any], Iterable[Any]]]] = [
     (BUILTINS, of_builtin),
     (types.MappingProxyType, lambda it: (dict(it),)),
     (type(threading.RLock()), lambda it: ()),
-    (threading.local, lambda it: ()),  # of a run, as locks are
+    (threading.local, lambda it: ()),  # belongs to a run, like locks
     (re.Pattern, lambda it: (it.pattern, it.flags)),
     (functools._lru_cache_wrapper, lambda it: (it.__wrapped__,)),
     (functools.partial, lambda it: (it.func, it.args, it.keywords)),

@@ -1,11 +1,11 @@
-"""What all exported C has in common: a prefix, flags that it refuses, and a directory that holds nothing else."""
+"""Common parts of all exported C: a prefix, refused flags, and a directory that holds nothing else."""
 
 import re
 from collections.abc import Collection
 from pathlib import Path
 
-# Macros of compilers that may assume that no number is NaN: gcc, clang and icx by -ffast-math, -Ofast or
-# -ffinite-math-only, Microsoft's by /fp:fast. clang's -fno-honor-nans alone defines none.
+# Compilers define these macros if they may assume that no number is NaN: gcc, clang and icx with -ffast-math, -Ofast or
+# -ffinite-math-only, Microsoft's with /fp:fast. clang's -fno-honor-nans alone defines no macro.
 REFUSES_FAST_MATH = """#if defined(__FAST_MATH__) || defined(_M_FP_FAST) || \\
     (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ != 0))
 #error "{name} must see NaN: compile it without -ffast-math, -Ofast, -ffinite-math-only and /fp:fast"
@@ -25,7 +25,7 @@ TAKEN = re.compile(  # by C and C++, and by math.h
 
 
 def check_prefix(prefix: str) -> None:
-    """Raises ValueError where files, functions, types and macros of C cannot begin with the prefix."""
+    """Raises ValueError if files, functions, types and macros of C cannot begin with the prefix."""
     if not re.fullmatch("[a-z][a-z0-9_]*", prefix) or TAKEN.fullmatch(prefix):
         raise ValueError(
             f"{prefix!r}: must be a name in C of lower-case letters, digits and _ that begins with a letter, and no "
@@ -34,9 +34,9 @@ def check_prefix(prefix: str) -> None:
 
 
 def prefixed(text: str, name: str, prefix: str) -> str:
-    """A text, or a file's name, in which what is called by a name has the prefix in its place.
+    """Returns a text, or a file's name, with `name` replaced by the prefix.
 
-    Raises ValueError where something else in the text is called like the prefix.
+    Raises ValueError if something else in the text has the prefix as its name.
     """
     if prefix != name and re.search(rf"\b{prefix}\b", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)):
         raise ValueError(f"{prefix!r}: is the name of something else in it; give another")
@@ -46,11 +46,11 @@ def prefixed(text: str, name: str, prefix: str) -> str:
 def check_directory(
     directory: Path, kind: str, mark: str, written: Collection[str], built: Collection[str]
 ) -> None:
-    """Refuses a directory in which anything of somebody else's could be lost; one that is not there is fine.
+    """Raises an error for a directory in which somebody else's files could be lost; a missing directory is fine.
 
     Args:
-        kind: what is written there, in words; mark: what stands on the first line of each file.
-        written: the files' names; built: the names of what is built of them, whatever it holds.
+        kind: what is written there, in words; mark: text on the first line of each file.
+        written: the files' names; built: the names of files built from them, with any content.
 
     Raises:
         ValueError: it holds anything else; OSError: it cannot be read.
@@ -61,7 +61,7 @@ def check_directory(
 
 
 def is_own(path: Path, mark: str) -> bool:
-    """Whether a file has the mark on its first line, or is empty, as one whose writing was cut off."""
+    """Checks whether a file has the mark on its first line, or is empty because its writing was interrupted."""
     if not path.is_file():
         return False
     with path.open("rb") as file:

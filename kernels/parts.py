@@ -1,4 +1,4 @@
-"""Functions as they are recorded: arguments, results, expressions, and the functions that they call."""
+"""Recorded functions: their arguments, results, expressions, and the functions that they call."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,13 +11,13 @@ from torch import Tensor
 
 from kernels.operations.expressions import Program
 
-# in memory
+# types in memory
 TYPES = {torch.float64: "double", torch.float32: "float", torch.bool: "bool", torch.int64: "long"}
 
 
 @dataclass(frozen=True)
 class Part:
-    """An argument or a result of a printed function.
+    """Describes an argument or a result of a printed function.
 
     Attributes:
         name: in C; shape: per column; kind: "double", "float", "bool" or "long" in memory.
@@ -29,24 +29,24 @@ class Part:
 
     @property
     def size(self) -> int:
-        """How many components it has."""
+        """Returns the number of components."""
         return math.prod(self.shape)
 
     @property
     def is_mask(self) -> bool:
-        """Whether it holds truth values."""
+        """Checks whether the part holds truth values."""
         return self.kind == "bool"
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """A function that was recorded.
+    """Holds a recorded function.
 
     Attributes:
         name: in C; about: the first line of its docstring.
         inputs, outputs: its arguments and results in their order; values: of each result, see `kernels.recorder`.
         long: length of the axis that is looped over, see `kernels.printer.printed`.
-        dtypes: of the results; like: makes of a list of tensors what the function returns.
+        dtypes: of the results; like: turns a list of tensors into what the function returns.
     """
 
     name: str
@@ -62,17 +62,17 @@ class Recorded:
 
 @dataclass
 class Called:
-    """All functions that a printed function calls, each recorded once.
+    """Holds all functions that a printed function calls, each recorded once.
 
     Args:
         real: the type of their numbers, "double" or "float".
-        single: they are printed for one column, so that none is told in which columns it is wanted.
+        single: they are printed for one column, so they receive no mask of columns.
 
     Attributes:
-        names: of functions in C, those that are being recorded included.
-        by_key: recordings by the key of `kernels.calls.one`; by_name: the same, functions before those that call them.
-        kept: objects whose id() is in a key; kept, so that no other object gets the id.
-        is_double: one of them computed float64.
+        names: of functions in C, also of those that are being recorded.
+        by_key: recordings by the key of `kernels.calls.one`; by_name: the same, functions before their callers.
+        kept: objects whose id() is in a key, kept so that no other object gets the id.
+        is_double: whether one of them computed float64.
     """
 
     real: str
@@ -84,7 +84,7 @@ class Called:
     is_double: bool = False
 
     def free(self, name: str) -> str:
-        """Reserves the name for a function, or one with a number that no function has."""
+        """Reserves the name for a function, or the name with a number if it is taken."""
         names = (name, *(f"{name}_{i}" for i in range(2, len(self.names) + 3)))
         found = next(each for each in names if each not in self.names)
         self.names.add(found)
@@ -92,7 +92,7 @@ class Called:
 
 
 def part_of(name: str, column: Tensor) -> Part:
-    """A tensor (..., 1) as an argument or a result."""
+    """Returns the part that describes a tensor (..., 1) as an argument or a result."""
     if not column.dim() or column.shape[-1] != 1:
         raise NotImplementedError(
             f"{name} of shape {tuple(column.shape)} has no columns and cannot be printed as C"
@@ -103,7 +103,7 @@ def part_of(name: str, column: Tensor) -> Part:
 
 
 def element(part: Part, place: tuple[int, ...], shape: Sequence[int]) -> str:
-    """A component of an argument in C; along the long axis, which is shorter in `shape`, the loop's."""
+    """Returns a component of an argument in C; along the long axis, shorter in `shape`, by the loop's index."""
     strides = [math.prod(part.shape[i + 1 :]) for i in range(len(part.shape))]
     axes = list(zip(place, strides, shape, part.shape, strict=True))
     at = sum(i * stride * (whole // short) for i, stride, short, whole in axes)

@@ -1,8 +1,8 @@
-"""A function of tensors printed as C: one line per scalar operation, for vectors of columns or for a single one.
+"""Functions of tensors printed as C: one line per scalar operation, for vectors of columns or for a single column.
 
-A printed function takes and fills arrays of V, component first, and nothing else: V is a number, or a vector of the
-compiler's with one column per lane. What is printed does not depend on which; `vector.h` and `scalar.h` say what V is.
-Only calls and loops differ (`columns`): for vectors they pass a mask of the columns that need them.
+A printed function reads and fills arrays of V, component first, and nothing else. V is a number, or a vector of the
+compiler with one column per lane. The printed text is the same for both; `vector.h` and `scalar.h` define V. Only calls
+and loops differ (`columns`): for vectors they pass a mask of the columns that need them.
 """
 
 import re
@@ -23,16 +23,16 @@ CALL = re.compile(r"^ +(\w+)\(", re.MULTILINE)  # a statement of C
 
 @dataclass(frozen=True)
 class Printed:
-    """A function as C.
+    """Holds a function as C.
 
     Attributes:
-        name: in C; inputs, outputs: its arguments in their order, those without components left out.
-        real: the type of its numbers; statements: how many it has.
+        name: in C; inputs, outputs: its arguments in their order, without those that have no components.
+        real: the type of its numbers; statements: their number.
         text: of the function.
         shapes, dtypes: of all results; given: shapes of all arguments, also of those without components.
-        is_told: its first argument in C is the mask `on`.
-        parts: the functions that it calls; those that are called stand before others.
-        waiting: what computes a batch in its place where loops wait, see `kernels.waiting`; "": none does.
+        is_told: whether its first argument in C is the mask `on`.
+        parts: the functions that it calls, each after those that it calls itself.
+        waiting: code that computes a batch instead, if loops wait, see `kernels.waiting`; "": none does.
     """
 
     name: str
@@ -58,9 +58,9 @@ def printed(
     names: tuple[Sequence[str], Sequence[str]] | None = None,
     single: bool = False,
 ) -> Printed:
-    """A function of tensors (..., B), whose columns are independent, as C for one column or a vector of them.
+    """Prints a function of tensors (..., B) with independent columns as C, for one column or a vector of columns.
 
-    It computes in single precision if neither an argument nor anything that is computed is of double precision.
+    It computes in single precision if no argument and no intermediate result is of double precision.
 
     Args:
         function: without control flow that depends on values.
@@ -72,7 +72,7 @@ def printed(
         single: for one column only.
 
     Raises:
-        NotImplementedError: an operation of it cannot be printed; names it, and the line that wants it.
+        NotImplementedError: an operation of the function cannot be printed; names it, and the line that needs it.
     """
     found, called = recorded(function, examples, name, names, long, single)
     own, *others = (Body(each, called) for each in (found, *called.by_name.values()))
@@ -97,7 +97,7 @@ def printed(
 
 
 def called_by(text: str, parts: dict[str, str]) -> list[str]:
-    """The names of the functions that a text calls, directly or not; each calls only those before it."""
+    """Returns the names of the functions that a text calls, directly or not; each calls only those before it."""
     wanted = set(CALL.findall(text))
     for name in reversed(parts):
         if name in wanted:
@@ -106,5 +106,5 @@ def called_by(text: str, parts: dict[str, str]) -> list[str]:
 
 
 def comment(about: str) -> str:
-    """A line of C that says something, or an empty one."""
+    """Returns a comment line of C, or an empty line if there is no text."""
     return f"/* {about.replace('*/', '* /')} */" if about else ""

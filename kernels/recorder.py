@@ -1,7 +1,7 @@
-"""What a function of tensors computes, as expressions: PyTorch's operations are recorded while it runs.
+"""Records what a function of tensors computes, as expressions: PyTorch's operations while the function runs.
 
-PyTorch hands every operation that it runs to `Recorder`: those of derivatives, too, and few, as most are made of
-others. What they do to numbers is done to values as well.
+PyTorch passes every operation that it runs to `Recorder`, also those of derivatives. There are few kinds, since most
+operations are made of others. The recorder applies each operation to values, too.
 """
 
 import functools
@@ -27,9 +27,9 @@ from kernels.operations.expressions import MASK, NUMBER, Program, Value, kind_of
 from kernels.operations.shapes import filled
 from kernels.parts import TYPES, Called, Part, element
 
-INTEGERS = {torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8}  # numbers without a fraction here
+INTEGERS = {torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8}  # numbers without a fraction
 PLACES_AND_TYPES = {"dtype", "device", "layout", "pin_memory", "memory_format", "implicit", "non_blocking"}
-# whose result depends on the shape and the type of what they are of, but not on its values
+# operations whose result depends on the operand's shape and type, but not on its values
 OF_SHAPE = {
     *(f"{kind}_like" for kind in ("zeros", "ones", "full", "empty")),
     *(f"new_{kind}" for kind in ("zeros", "ones", "full", "empty")),
@@ -37,22 +37,22 @@ OF_SHAPE = {
     "_efficientzerotensor",
     "_new_zeros_with_same_feature_meta",
 }
-RECORDING = threading.RLock()  # the garbage collector is everybody's
+RECORDING = threading.RLock()  # needed because all threads share the garbage collector
 
 
-SEEN_BY = (Tensor.tolist, Tensor.numpy, Tensor.__array__)  # without an operation
+SEEN_BY = (Tensor.tolist, Tensor.numpy, Tensor.__array__)  # read values without an operation
 BRANCH = "values that decide what is computed, as in `if`, float() or x[x > 0], cannot be printed as C: use torch.where"
 
 
 class Unprintable(NotImplementedError):
-    """What cannot be printed, why, and where it is wanted."""
+    """Signals what cannot be printed, why, and where it is needed."""
 
 
 class Known(NamedTuple):
-    """What is known of a tensor.
+    """Holds what is known of a tensor.
 
     Attributes:
-        tensor: kept, so that no other is given its id or its memory.
+        tensor: kept, so that no other tensor gets its id or its memory.
         values: an array of its shape, see `kernels.operations.shapes`.
         fixed: its numbers are the same for any arguments, until something else is written to its memory.
     """
@@ -63,19 +63,19 @@ class Known(NamedTuple):
 
 
 class Recorder(TorchDispatchMode):
-    """Has every operation that PyTorch runs done on values, too.
+    """Applies every operation that PyTorch runs to values, too.
 
-    Tensors that share memory have arrays that do, so that what is written in place is seen in all of them. A tensor
-    that no recorded operation made is a constant. What is computed from constants alone, PyTorch has computed.
+    Tensors that share memory have arrays that share memory, so that writing in place is seen in all of them. A tensor
+    that no recorded operation made is a constant. Results computed from constants alone are PyTorch's.
 
     Args:
         on: the columns in which the function is wanted; True: there is one column.
-        called: takes the functions that this one calls.
+        called: collects the functions that this one calls.
 
     Attributes:
-        known: each tensor by its id; written, torn: memory that is not fixed any more, or that some view's array does
-            not share.
-        is_double: float64 was computed.
+        known: each tensor by its id; written: memory that is not fixed any more; torn: memory that some view's array
+            does not share.
+        is_double: whether float64 was computed.
         is_aside: nothing is recorded now.
     """
 
@@ -90,12 +90,12 @@ class Recorder(TorchDispatchMode):
 
     @classmethod
     def _should_skip_dynamo(cls) -> bool:
-        """Of PyTorch's: no, nothing is compiled in here. Yes loads its compiler, which takes a second or two."""
+        """Returns PyTorch's setting: False, since nothing is compiled in here. True loads its compiler in 1 to 2 s."""
         return False
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Records nothing meanwhile."""
+        """Stops recording within the context."""
         before, self.is_aside = self.is_aside, True
         try:
             yield
@@ -103,30 +103,30 @@ class Recorder(TorchDispatchMode):
             self.is_aside = before
 
     def put(self, tensor: Tensor, array: ndarray, fixed: bool = False) -> None:
-        """Says what a tensor's values are."""
+        """Sets a tensor's values."""
         if array.shape != self.operations.axes.short(tensor.shape):
             raise NotImplementedError("along an axis that is looped over")
         self.known[id(tensor)] = Known(tensor, array, fixed)
 
     def values(self, given: Any) -> Any:
-        """The values of a tensor, and of those in lists; anything else as it is."""
+        """Returns the values of a tensor, and of tensors in lists; other arguments as they are."""
         if isinstance(given, Tensor):
             if id(given) not in self.known:
                 if any(id(given) in other.known and not other.is_fixed(given) for other in ACTIVE.all[:-1]):
                     raise NotImplementedError(f"of a tensor {tuple(given.shape)} that the body was not given")
                 array = self.constant(given)
-                array.flags.writeable = False  # it is not the function's own
+                array.flags.writeable = False  # the tensor is not the function's own
                 self.put(given, array, fixed=True)
             return self.known[id(given)].values
         return [self.values(each) for each in given] if isinstance(given, list | tuple) else given
 
     def is_fixed(self, tensor: Tensor) -> bool:
-        """Whether a tensor's numbers are the same for any arguments."""
+        """Checks whether a tensor's numbers are the same for any arguments."""
         self.values(tensor)
         return self.known[id(tensor)].fixed and memory(tensor) not in self.written
 
     def constant(self, tensor: Tensor) -> ndarray:
-        """The values of a tensor as literals, along the long axis as tables."""
+        """Returns the values of a tensor as literals, along the long axis as tables."""
         check_type(tensor.dtype)
         if tensor._is_zerotensor() or tensor.is_meta:
             tensor = torch.zeros(tensor.shape, dtype=tensor.dtype)
@@ -142,20 +142,20 @@ class Recorder(TorchDispatchMode):
         return filled([self.program.table(row) for row in rows], axes.short(array.shape))
 
     def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        """One operation."""
+        """Runs one operation and records it."""
         result = function(*args, **(kwargs or {}))
         if self.is_aside:
             return result
         try:
             self.record(function, result, args, kwargs or {})
-        except Unprintable:  # of what it is made of
+        except Unprintable:  # raised by an operation of which this one is made
             raise
         except NotImplementedError as error:
             raise Unprintable(explained(function.name(), str(error))) from error
         return result
 
     def record(self, function: Any, result: Any, args: Sequence[Any], kwargs: dict[str, Any]) -> None:
-        """Does an operation on values."""
+        """Applies an operation to values."""
         name, is_random, is_by_values = said_of(function)
         given = self.values(args)
         options = {key: self.values(each) for key, each in kwargs.items() if key not in PLACES_AND_TYPES}
@@ -165,7 +165,7 @@ class Recorder(TorchDispatchMode):
             raise NotImplementedError("of random numbers")
         if is_by_values and not fixed:
             raise NotImplementedError(BRANCH)
-        own = [each for each in tensors_in(result) if not each.is_meta]  # which has no numbers
+        own = [each for each in tensors_in(result) if not each.is_meta]  # meta tensors have no numbers
         if not own:
             return
         self.operations.axes.given = [tuple(each.shape) for each in operands]
@@ -177,7 +177,7 @@ class Recorder(TorchDispatchMode):
             for tensor in own:
                 self.write(tensor, self.constant(tensor), name, fixed=True)
         elif name.removesuffix("_") not in self.operations.by_name and function in decompositions():
-            with self:  # what it is made of
+            with self:  # records the operations of which this one is made
                 found = decompositions()[function](*args, **kwargs)
             for tensor, part in zip(own, tensors_in(found), strict=True):
                 self.put(tensor, self.values(part))
@@ -187,7 +187,7 @@ class Recorder(TorchDispatchMode):
                 self.write(tensor, self.typed(array, tensor.dtype, name), name)
 
     def write(self, tensor: Tensor, array: ndarray, name: str, fixed: bool = False) -> None:
-        """Takes values for a tensor: for the one that an operation writes to in place, or for a new one."""
+        """Sets values of a tensor: of the one that an operation writes to in place, or of a new one."""
         if not name.endswith("_"):
             self.put(tensor, array, fixed)
             return
@@ -203,7 +203,7 @@ class Recorder(TorchDispatchMode):
     def viewed(
         self, name: str, given: Sequence[Any], options: dict[str, Any], own: Sequence[Tensor], fixed: bool
     ) -> Any:
-        """The values of views; of constants copies will do."""
+        """Returns the values of views; for constants, copies are enough."""
         try:
             return self.operations.call(name, *given, **options)
         except NotImplementedError:
@@ -212,14 +212,14 @@ class Recorder(TorchDispatchMode):
             return [self.constant(tensor) for tensor in own]
 
     def view(self, results: Sequence[Tensor], of: Tensor, found: Any) -> None:
-        """Takes the values of views of a tensor."""
+        """Sets the values of views of a tensor."""
         for tensor, array in zip(results, found if isinstance(found, list) else [found], strict=True):
             self.put(tensor, array, self.known[id(of)].fixed)
             if array.size and not np.may_share_memory(array, self.values(of)):
                 self.torn.add(memory(of))
 
     def typed(self, found: ndarray, dtype: torch.dtype, name: str) -> ndarray:
-        """Values as their type in PyTorch has them: truth values or numbers, whole ones, or of single precision."""
+        """Returns values in their PyTorch type: truth values, numbers, whole numbers or numbers of single precision."""
         check_type(dtype)
         p = self.program
         if dtype == torch.bool:
@@ -235,14 +235,14 @@ class Recorder(TorchDispatchMode):
 
 
 class Watch(TorchFunctionMode):
-    """Refuses Python's looks at what is computed that run no operation."""
+    """Refuses Python's reads of recorded values that run no operation."""
 
     def __init__(self, recorder: Recorder) -> None:
         super().__init__()
         self.recorder = recorder
 
     def __torch_function__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        """Any call of PyTorch's."""
+        """Handles any call of PyTorch."""
         if function in SEEN_BY and not self.recorder.is_aside and not self.recorder.is_fixed(args[0]):
             raise Unprintable(explained("", BRANCH))
         return function(*args, **(kwargs or {}))
@@ -255,7 +255,10 @@ def evaluated(
     parts: Sequence[Part],
     recorder: Recorder,
 ) -> tuple[Any, list[ndarray]]:
-    """What a function returns of examples, and the values of its tensors, (..., 1) each; `parts` are its arguments."""
+    """Returns a function's results for examples, and the values of its tensors, (..., 1) each.
+
+    `parts` are its arguments.
+    """
     inputs = [x.clone() for x in examples]
     for part, x in zip(parts, inputs, strict=True):
         array = argument(recorder, part)
@@ -271,7 +274,7 @@ def evaluated(
 
 
 def argument(recorder: Recorder, part: Part) -> ndarray:
-    """The values of an input."""
+    """Returns the values of an input."""
     shape = recorder.operations.axes.short(part.shape)
     kind = MASK if part.is_mask else NUMBER
     values = [
@@ -283,31 +286,31 @@ def argument(recorder: Recorder, part: Part) -> ndarray:
 
 @functools.cache
 def decompositions() -> Mapping[Any, Callable[..., Any]]:
-    """Operations as functions of others, as `torch.export` takes them apart."""
+    """Returns operations as functions of others, as `torch.export` decomposes them."""
     from torch.export import default_decompositions
 
     return default_decompositions()
 
 
 def whole(p: Program, value: Value) -> Value:
-    """A number without its fraction."""
+    """Returns a number without its fraction."""
     return p.number(value) if kind_of(value) == MASK else p.call("trunc", value)
 
 
 def check_type(dtype: torch.dtype) -> None:
-    """Refuses numbers that C does not compute with here."""
+    """Raises NotImplementedError for number types that the printed C does not support."""
     if dtype not in TYPES and dtype not in INTEGERS:
         raise NotImplementedError(f"of {dtype}")
 
 
 def memory(tensor: Tensor) -> int:
-    """Where a tensor's numbers are; 0 where PyTorch only knows that they are zero."""
+    """Returns where a tensor's numbers are; 0 if PyTorch only knows that they are zero."""
     return 0 if tensor._is_zerotensor() else tensor.untyped_storage().data_ptr()
 
 
 @functools.cache
 def said_of(function: Any) -> tuple[str, bool, bool]:
-    """An operation's name; whether its result is random, and whether values decide what it computes or its shape."""
+    """Returns an operation's name, whether its result is random, and whether values decide its computation or shape."""
     name, tags = function.name().split("::")[1].split(".")[0], function.tags
     by_values = torch.Tag.dynamic_output_shape in tags and name != "index"
     return (
@@ -319,7 +322,7 @@ def said_of(function: Any) -> tuple[str, bool, bool]:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Has the garbage collector wait: what is recorded stays, and to look through it takes a fifth of the time."""
+    """Pauses the garbage collector: what is recorded stays, and searching it takes a fifth of the time."""
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -330,7 +333,7 @@ def uncollected() -> Iterator[None]:
 
 
 def explained(operation: str, reason: str) -> str:
-    """What cannot be printed, why not, and which line of whose program wants it."""
+    """Returns what cannot be printed, why, and which line of which program needs it."""
     text = reason if reason == BRANCH else f"{operation} {reason}".strip() + " cannot be printed as C"
     ours = (str(Path(torch.__file__).parent), str(Path(__file__).parent))
     for frame in reversed(traceback.extract_stack()):

@@ -1,8 +1,9 @@
 """A function cut at its loops that wait, see `kernels.waiting`: what each segment computes, loads and stores.
 
-A function that was recorded has no branches, so n loops that wait cut it into n + 1 segments: what is computed before
-the first, what needs the results of the first, and so on. A value that a later segment reads, or that a loop is given,
-is live in between, in a compiler's words. It has a place in a column's record: of numbers n or of truth values m.
+A recorded function has no branches. So n loops that wait cut it into n + 1 segments: the part before the first loop,
+the part that needs the results of the first loop, and so on. A value that a later segment reads, or that a loop
+receives, is live between them, as compilers call it. It has a place in a column's record, among numbers n or truth
+values m.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,29 +14,29 @@ from kernels.operations.expressions import MASK, Expression, Value
 from kernels.parts import Part
 from kernels.text import LOOPS, Body, kind_in
 
-Placed = tuple[str, str]  # a place, and what C calls what is stored there
+Placed = tuple[str, str]  # a place, and the stored value's name in C
 
 
 class Records:
-    """The places of values in a record; numbers of segments and loops."""
+    """Allocates the places of values in a record, and numbers of segments and loops."""
 
     def __init__(self) -> None:
         self.sizes = {"n": 0, "m": 0}
         self.segments, self.loops = count(), count()
 
     def place(self, kind: str) -> str:
-        """A new place for a value of this kind."""
+        """Returns a new place for a value of this kind."""
         which = "m" if kind == MASK else "n"
         self.sizes[which] += 1
         return f"{which}[{self.sizes[which] - 1}]"
 
 
 class Waits:
-    """A loop that waits.
+    """Describes a loop that waits.
 
     Attributes:
         it: the loop (`kernels.text.Repeated`); number: of its C function.
-        state, given: places of what its body is given, by part; results are where the state was.
+        state, given: places of its body's arguments, by part; results replace the state.
         body: its segments; None: it is one function.
     """
 
@@ -49,12 +50,12 @@ class Waits:
 
     @property
     def arguments(self) -> list[tuple[str, str]]:
-        """Elements of the body's arguments, and their places."""
+        """Returns elements of the body's arguments, and their places."""
         return placed(self.it.callee.inputs, [*(self.state if self.it.passed else []), *self.given])
 
     @property
     def results(self) -> list[tuple[str, str]]:
-        """Elements of the next state, and their places."""
+        """Returns elements of the next state, and their places."""
         return placed(self.it.state, self.state)
 
     def begin(self, body: Body) -> list[Placed]:
@@ -69,13 +70,13 @@ class Waits:
 
 
 class Frame:
-    """A function cut into segments: that of a batch, or the body of a loop that waits.
+    """Holds a function cut into segments: the function of a batch, or the body of a loop that waits.
 
     Attributes:
         owner: the loop whose body it is; None: it is all of a batch.
-        waits, loops: the loops that wait, as expressions and as such; last: the number of the last segment.
-        segment: by expression the first one in which it is known; read: the last one that computes with it.
-        given: by expression the last loop that is given it.
+        waits, loops: the loops that wait, as expressions and as `Waits`; last: the number of the last segment.
+        segment: by expression the first segment in which it is known; read: the last one that computes with it.
+        given: by expression the last loop that receives it.
         places: by expression, where its value is stored; numbers: of the segments in C.
     """
 
@@ -104,20 +105,20 @@ class Frame:
         self.numbers = [next(records.segments) for _ in range(self.last + 1)]
 
     def arguments(self) -> dict[int, str]:
-        """The places of arguments of a loop's body."""
+        """Returns the places of arguments of a loop's body."""
         at = dict(self.owner.arguments) if self.owner else {}
         inputs = [each for each in self.body.needed if each.operation == "input"]
         return {each.index: at[each.arguments[0]] for each in inputs if each.arguments[0] in at}
 
     def results(self, each: Expression, loop: Waits) -> dict[int, str]:
-        """The places of what comes out of a loop."""
+        """Returns the places of a loop's results."""
         sizes = [(y, k) for y in loop.it.state for k in range(y.size)]
         at = {result(each, y, k): place for (y, k), (_, place) in zip(sizes, loop.results, strict=True)}
         own = [e for e in self.body.needed if e.operation == "result" and e.arguments[0] is each]
         return {e.index: at[e.arguments[1]] for e in own}
 
     def kept(self, value: Value, kind: str) -> str:
-        """The place of a value, which is stored there once."""
+        """Returns the place of a value, which is stored once."""
         if isinstance(value, Expression):
             if value.index not in self.places:
                 self.places[value.index] = self.records.place(kind)
@@ -128,7 +129,7 @@ class Frame:
         return self.literals[key]
 
     def used(self, s: int) -> list[Expression]:
-        """The values with which a segment computes, decides and begins the loop after it, or that it returns."""
+        """Returns the values with which a segment computes, decides and begins its next loop, or which it returns."""
         values: list[object] = []
         for each in self.body.needed:
             if self.segment[each.index] == s and each.operation not in ("result", "waiting"):
@@ -140,28 +141,28 @@ class Frame:
         return [each for each in values if isinstance(each, Expression)]
 
     def reads(self) -> dict[int, int]:
-        """By expression the last segment that uses it."""
+        """Returns by expression the last segment that uses it."""
         return {each.index: s for s in range(self.last + 1) for each in self.used(s)}
 
     def is_early(self, place: str) -> bool:
-        """Tells whether a result of a batch, of which `place` is an element, is known before the first loop."""
+        """Checks whether a result of a batch, of which `place` is an element, is known before the first loop."""
         own = [value for at, value, _ in self.body.stores if at.split("[")[0] == place.split("[")[0]]
         known = all(not isinstance(v, Expression) or self.segment[v.index] == 0 for v in own)
         return known and self.owner is None
 
     def loaded(self, s: int) -> list[Expression]:
-        """The values that a segment reads from records."""
+        """Returns the values that a segment reads from records."""
         found = {each.index: each for each in self.used(s) if self.is_loaded(each, s)}
         return [found[i] for i in sorted(found)]
 
     def is_loaded(self, each: Expression, s: int) -> bool:
-        """Whether a segment does not compute a value, but finds it in records."""
+        """Checks whether a segment reads a value from records instead of computing it."""
         is_argument = each.operation == "input" and self.owner is not None
         is_result = each.operation == "result" and each.arguments[0].operation == "waiting"
         return is_value(each) and (self.segment[each.index] < s or is_argument or is_result)
 
     def stored(self, s: int) -> list[Placed]:
-        """What a segment stores: what it computes and is read later, and what the loop after it begins with."""
+        """Returns what a segment stores: its values that are read later, and what the loop after it begins with."""
         own = [
             each for each in self.body.needed if each.index in self.places and self.segment[each.index] == s
         ]
@@ -178,12 +179,12 @@ class Frame:
 
 
 def has_waits(body: Body) -> bool:
-    """Whether some of a function's loops wait."""
+    """Checks whether some of a function's loops wait."""
     return any(each.operation == "waiting" for each in body.needed)
 
 
 def segments(needed: Sequence[Expression], waits: Sequence[Expression]) -> dict[int, int]:
-    """By expression the first segment in which it is known."""
+    """Returns by expression the first segment in which it is known."""
     order, found = {each.index: i for i, each in enumerate(waits)}, dict[int, int]()
     for each in needed:
         own = max((found[a.index] for a in each.arguments if isinstance(a, Expression)), default=0)
@@ -196,11 +197,11 @@ def segments(needed: Sequence[Expression], waits: Sequence[Expression]) -> dict[
 
 
 def is_value(each: Expression) -> bool:
-    """Tells whether an expression is a value, not a call, a loop or the mask `on`."""
+    """Checks whether an expression is a value, not a call, a loop or the mask `on`."""
     return each.operation not in ("call", *LOOPS) and each.arguments[:1] != ("on",)
 
 
 def placed(parts: Sequence[Part], places: Sequence[Sequence[str]]) -> list[tuple[str, str]]:
-    """Elements of parts, and their places."""
+    """Returns elements of parts, and their places."""
     pairs: Iterator[tuple[Part, Sequence[str]]] = zip(parts, places, strict=True)
     return [(f"{part.name}[{k}]", place) for part, own in pairs for k, place in enumerate(own)]

@@ -1,4 +1,4 @@
-"""Expressions as the lines of a function in C."""
+"""Expressions printed as the lines of a function in C."""
 
 import math
 import re
@@ -20,7 +20,7 @@ START = {"sum": 0.0, "least": math.inf, "most": -math.inf, "any": False}
 
 
 class Repeated(NamedTuple):
-    """A loop, or what is called where a condition holds.
+    """Describes a loop, or a function that is called where a condition holds.
 
     Attributes:
         callee: the body; state: what it changes; given: its other arguments.
@@ -38,18 +38,18 @@ class Repeated(NamedTuple):
 
     @property
     def passed(self) -> list[Part]:
-        """The part of the state that the body is given."""
+        """Returns the part of the state that the body receives."""
         return [] if self.most == ONCE else self.state
 
 
 class Body:
-    """The lines of a printed function.
+    """Prints the lines of a function.
 
-    What varies along the long axis is computed in loops over it, one for each stage of reductions.
+    Values that vary along the long axis are computed in loops over it, one for each stage of reductions.
 
     Attributes:
-        stores: what the function fills: place, value, kind; needed: all that these are made of.
-        asks: it calls functions that take the mask `on`.
+        stores: what the function fills: place, value, kind; needed: all expressions of which these are made.
+        asks: whether it calls functions that take the mask `on`.
     """
 
     def __init__(self, function: Recorded, called: Called) -> None:
@@ -66,7 +66,7 @@ class Body:
         self.asks = not called.single and any(each.operation in (*LOOPS, "call") for each in self.needed)
 
     def filled(self, part: Part, array: ndarray) -> list[tuple[str, Value, str]]:
-        """What fills an output."""
+        """Returns the places of an output with their values."""
         p, shape = self.function.program, array.shape[:-1]
         kind, as_kind = (MASK, p.mask) if part.is_mask else (NUMBER, p.number)
         return [
@@ -74,7 +74,7 @@ class Body:
         ]
 
     def text(self, is_told: bool) -> tuple[str, int]:
-        """The function, and how many statements it has; `is_told`: in which columns it is wanted."""
+        """Returns the function, and how many statements it has; `is_told`: it receives the mask `on`."""
         lines = self.lines()
         whole = "\n".join(lines)
         inputs, outputs = (
@@ -89,7 +89,7 @@ class Body:
         return "\n".join(map(folded, [head, "{", *lines, "}", ""])), len(lines)
 
     def lines(self) -> list[str]:
-        """The statements that fill the outputs."""
+        """Returns the statements that fill the outputs."""
         last = max((each.stage for each in self.needed), default=0)
         used = sorted(
             {int(each.arguments[0]) for each in self.needed if each.operation in ("table", "lookup")}
@@ -104,13 +104,16 @@ class Body:
         return [line for line in lines if line]
 
     def table(self, index: int) -> str:
-        """A table in C."""
+        """Returns a table in C."""
         numbers = ", ".join(self.literal(value) for value in self.tables[index])
         rows = textwrap.indent(textwrap.fill(numbers, WIDTH - 10, break_long_words=False), " " * 8)
         return f"    static const real table{index}[{self.long}] = {{\n{rows}\n    }};"
 
     def loop(self, needed: list[Expression], stage: int, is_last: bool) -> list[str]:
-        """The loop over the long axis after this stage: what the reductions of the next one add up, at last outputs."""
+        """Returns the loop over the long axis after this stage.
+
+        It computes the reductions of the next stage or, at the last stage, the outputs.
+        """
         reductions = [each for each in needed if each.operation in REDUCTIONS and each.stage == stage + 1]
         stores = [each for each in self.stores if is_last and varying(each[0])]
         if not reductions and not stores:
@@ -126,7 +129,7 @@ class Body:
         return [*lines, "    }"]
 
     def starts(self, each: Expression) -> list[str]:
-        """The statements that a reduction begins with."""
+        """Returns the statements that initialise a reduction."""
         start = (
             "NO" if each.kind == MASK else f"ALL({self.literal(START[each.operation.removesuffix('_at')])})"
         )
@@ -135,11 +138,11 @@ class Body:
         return [f"{letter(each.kind == MASK)} t{each.index} = {start};"]
 
     def joins(self, each: Expression) -> list[str]:
-        """The statements that take one more entry into a reduction."""
+        """Returns the statements that add one more entry to a reduction."""
         total, entry = f"t{each.index}", self.operand(each.arguments[0], each.kind)
         if not each.operation.endswith("_at"):
             return [f"{total} = {formula(REDUCTIONS[each.operation], total, entry)};"]
-        # the first one stays, also if it is NaN, and NaN comes before all else
+        # the first extreme entry stays, also if it is NaN, and NaN comes before all other entries
         stays = f"of_{total} <= {entry}" if each.operation == "least_at" else f"{entry} <= of_{total}"
         return [
             f"const M is_{total} = AND(NOT({stays}), of_{total} == of_{total});",
@@ -148,7 +151,7 @@ class Body:
         ]
 
     def line(self, each: Expression, depth: int) -> str:
-        """The statement of an expression; "": it needs none."""
+        """Returns the statement of an expression; "" if it needs none."""
         if each.operation in ("input", "result"):
             return ""
         if each.operation == "call":
@@ -169,7 +172,7 @@ class Body:
     # calls and loops
 
     def call(self, each: Expression) -> list[str]:
-        """The statements of a call."""
+        """Returns the statements of a call."""
         name, on, *values = each.arguments
         callee, start = self.called.by_name[name], f"t{each.index}_"
         made, given = self.arrays(start, callee.inputs, values)
@@ -181,7 +184,7 @@ class Body:
         ]
 
     def repeat(self, each: Expression) -> list[str]:
-        """The statements of a loop. Columns that do not go round it any more keep what they have."""
+        """Returns the statements of a loop. Columns that have ended keep their values."""
         it, start = self.repeated(each), f"t{each.index}_"
         made, given = self.arrays(start, it.given, it.values)
         made += self.begun(start, it)
@@ -204,7 +207,7 @@ class Body:
         return [*made, f"M {start}on = {alive};", head, *(f"    {line}" for line in body), "}"]
 
     def repeated(self, each: Expression) -> Repeated:
-        """What is said of a loop."""
+        """Returns the description of a loop."""
         name, most, alive, *values = each.arguments
         callee = self.called.by_name[name]
         state = callee.outputs if most == ONCE else callee.outputs[:-1]
@@ -213,7 +216,7 @@ class Body:
         return Repeated(callee, state, given, most, alive, values[:count], values[count:])
 
     def begun(self, start: str, it: Repeated) -> list[str]:
-        """The statements with which a state begins."""
+        """Returns the statements that set the initial state."""
         lines, values = [], list(it.start)
         for y in it.state:
             own, values = values[: y.size], values[y.size :]
@@ -223,7 +226,7 @@ class Body:
         return lines
 
     def taken(self, y: Part, start: str) -> list[str]:
-        """The statements that take the next state where that is wanted."""
+        """Returns the statements that set the next state in the columns that need it."""
         to, new = f"{start}{y.name}[i]", f"next_{y.name}[i]"
         if not self.called.single:
             new = f"{'CHOOSE' if y.is_mask else 'SELECT'}({start}on, {new}, {to})"
@@ -236,7 +239,7 @@ class Body:
     def arrays(
         self, start: str, inputs: Sequence[Part], values: Sequence[Value]
     ) -> tuple[list[str], list[str]]:
-        """The statements that lay arguments side by side where they are not already, and what is passed."""
+        """Returns the statements that place arguments side by side if they are not yet, and the arguments to pass."""
         made, given = [], []
         for x in inputs:
             own, values = values[: x.size], values[x.size :]
@@ -248,7 +251,7 @@ class Body:
         return made, given
 
     def operand(self, value: Value, kind: str | None = None, whole: bool = True) -> str:
-        """A value in C: as a V or M, or where it need not be a vector as a number."""
+        """Returns a value in C: a V or M, or a number where a vector is not needed."""
         if isinstance(value, Expression):
             return str(value.arguments[-1]) if value.operation in ("input", "result") else f"t{value.index}"
         if (kind or kind_of(value)) == MASK:
@@ -256,7 +259,7 @@ class Body:
         return f"ALL({self.literal(value)})" if whole else self.literal(value)
 
     def literal(self, value: float) -> str:
-        """A number in C that is exactly this one."""
+        """Returns a number in C that is exactly this one."""
         if math.isnan(value):
             return "NAN"
         text = "INFINITY" if math.isinf(value) else repr(abs(float(value)))
@@ -265,7 +268,7 @@ class Body:
 
 
 def folded(text: str) -> str:
-    """Lines of C of WIDTH at most."""
+    """Wraps lines of C at WIDTH."""
     return "\n".join(
         line if len(line) <= WIDTH else textwrap.fill(line, WIDTH, subsequent_indent=" " * (indent(line) + 4))
         for line in text.split("\n")
@@ -273,12 +276,12 @@ def folded(text: str) -> str:
 
 
 def indent(line: str) -> int:
-    """How many spaces a line begins with."""
+    """Returns how many spaces a line begins with."""
     return len(line) - len(line.lstrip())
 
 
 def side_by_side(texts: Sequence[str]) -> str | None:
-    """Where texts are the neighbouring elements of one array, in order: that, from the first of them on."""
+    """Returns the array element at which texts begin, if they are its neighbouring elements in order, else None."""
     found = re.fullmatch(r"(\w+)\[(\d+)\]", texts[0]) if texts else None
     if not found or any(text != f"{found[1]}[{int(found[2]) + i}]" for i, text in enumerate(texts)):
         return None
@@ -286,27 +289,27 @@ def side_by_side(texts: Sequence[str]) -> str | None:
 
 
 def declared(start: str, parts: Sequence[Part]) -> list[str]:
-    """The declarations of results."""
+    """Returns the declarations of results."""
     return [f"{letter(y.is_mask)} {start}{y.name}[{y.size}];" for y in parts if y.size]
 
 
 def kind_in(part: Part) -> str:
-    """The kind of the values of an argument or a result."""
+    """Returns the kind of the values of an argument or a result."""
     return MASK if part.is_mask else NUMBER
 
 
 def indices(values: Iterable[Value]) -> set[int]:
-    """Which expressions there are among values."""
+    """Returns the indices of the expressions among values."""
     return {value.index for value in values if isinstance(value, Expression)}
 
 
 def varying(place: str) -> bool:
-    """Whether a component is one of those along the long axis."""
+    """Checks whether a component lies along the long axis."""
     return place.endswith("* i]")
 
 
 def with_arguments(expressions: Sequence[Expression], wanted: set[int]) -> list[Expression]:
-    """Those that are wanted, by index, and all that they are computed from, in order."""
+    """Returns the wanted expressions, by index, and all from which they are computed, in order."""
     wanted = set(wanted)
     for each in reversed(expressions):
         if each.index in wanted:
@@ -315,12 +318,12 @@ def with_arguments(expressions: Sequence[Expression], wanted: set[int]) -> list[
 
 
 def letter(is_mask: bool) -> str:
-    """The type of a value in C."""
+    """Returns the type of a value in C."""
     return "M" if is_mask else "V"
 
 
 def formula(operation: str, *operands: str) -> str:
-    """An operation on operands in C."""
+    """Returns an operation on operands in C."""
     if operation in INFIX:
         return f"{operands[0]} {INFIX[operation]} {operands[1]}"
     if operation == "neg":

@@ -1,4 +1,4 @@
-"""A function of a batch whose loops wait, as C: columns go round such a loop with full lanes.
+"""The C of a batch function whose loops wait: columns go round such a loop with full lanes.
 
     columns, W at a time      |   the record of each column that waits, and lists of these
     ==========================|==================================================================
@@ -10,14 +10,15 @@
        |                      |      |
     results                   |   results
 
-On the left (`straight`) columns go all the way in registers: most wait for nothing. A column that wants to go round a
-loop leaves this way, and stores its live values in a record (`kernels.segments`). On the right a segment loads what it
-reads of W records, computes, stores, and appends the columns that want the next loop to that one's list. Loops run in
-the function's order, each until its list is empty, so only its last vectors have idle lanes. Chunks are long to keep
-these few.
+On the left (`straight`) columns go all the way in registers: most columns wait for nothing. A column that needs a loop
+leaves this path, and stores its live values in a record (`kernels.segments`). On the right a segment loads the values
+that it reads from W records, computes, stores, and appends the columns that need the next loop to the list of that
+loop. Loops run in the function's order, each until its list is empty, so only the last vectors of a list have idle
+lanes. Chunks are long to keep idle lanes few.
 
-The body of a loop may have loops that wait, too. Then it is cut likewise, and all columns that go round the outer loop
-go through its segments together, once for each turn. The body of any other loop is one function, W lanes at a time.
+The body of a loop may have loops that wait, too. Then the body is cut in the same way, and all columns that go round
+the outer loop go through its segments together, once for each turn. The body of any other loop is one function, W lanes
+at a time.
 
 Each column's results depend on that column alone: their bits are the same in any order, in any batch, and with any
 number of lanes.
@@ -31,8 +32,8 @@ from kernels.parts import Part
 from kernels.segments import Frame, Placed, Records, Waits, has_waits
 from kernels.text import LOOPS, Body, declared, letter
 
-INCLUDE = '#include "waiting.h"'  # by `kernels.compiled.sources`: what is recorded does not hold it
-CHUNK = 2048  # columns that are on their way at once
+INCLUDE = '#include "waiting.h"'  # `kernels.compiled.sources` replaces it, so that recordings do not hold it
+CHUNK = 2048  # columns that are processed together
 MEMORY = {"double": "double", "bool": "uint8_t", "long": "int64_t", "float": "float"}
 LANES = "for (int lane = 0; lane < W; ++lane) {"
 RECORDS = [
@@ -44,7 +45,7 @@ RECORDS = [
 
 
 def waiting(body: Body) -> str:
-    """Returns the C of a function for a batch, NAME_batch as of `kernels.compiled.batch`; "": no loop waits."""
+    """Returns the C of a function for a batch, NAME_batch as in `kernels.compiled.batch`; "": no loop waits."""
     if not has_waits(body):
         return ""
     records = Records()
@@ -82,7 +83,7 @@ def loop(waits: Waits) -> list[str]:
 
 
 def once(waits: Waits) -> list[str]:
-    """The statements that call a function for the columns of a list."""
+    """Returns the statements that call a function for the columns of a list."""
     callee = waits.it.callee
     return [
         *RECORDS,
@@ -95,7 +96,7 @@ def once(waits: Waits) -> list[str]:
 
 
 def refilled(waits: Waits) -> list[str]:
-    """The statements of a loop: when a column ends it is stored, and the next one of the list takes its lane."""
+    """Returns the statements of a loop: a column that ends is stored, and the list's next one takes its lane."""
     callee, goes_on = waits.it.callee, waits.it.callee.outputs[-1].name
     state = list(zip(waits.arguments, waits.results, strict=False))
     return [
@@ -130,7 +131,7 @@ def refilled(waits: Waits) -> list[str]:
 
 
 def called(waits: Waits) -> list[str]:
-    """The statements that call a loop's body, with arrays of its arguments' names."""
+    """Returns the statements that call a loop's body, with arrays of its arguments' names."""
     callee = waits.it.callee
     given = [x.name for x in callee.inputs if x.size] + [f"next_{y.name}" for y in callee.outputs if y.size]
     return [*declared("next_", callee.outputs), f"{callee.name}({', '.join(['on', *given])});"]
@@ -168,14 +169,14 @@ def segment(frame: Frame, s: int) -> list[str]:
 
 
 def computed(frame: Frame, s: int) -> list[str]:
-    """The statements of a segment."""
+    """Returns the statements of a segment."""
     body = frame.body
     own = [e for e in body.needed if frame.segment[e.index] == s and e.operation != "waiting"]
     return [line for each in own for line in body.line(each, 2).split("\n") if line]
 
 
 def loads(frame: Frame, s: int) -> list[str]:
-    """The statements that load what a segment reads from records: elements of arrays, and numbers of their own."""
+    """Returns the statements that load what a segment reads from records: elements of arrays, and single numbers."""
     body, lines = frame.body, list[str]()
     texts = [(body.operand(each), each) for each in frame.loaded(s)]
     arrays = declared("", body.function.inputs)
@@ -191,12 +192,12 @@ def loads(frame: Frame, s: int) -> list[str]:
 
 
 def load(place: str) -> str:
-    """What stands in a place of W records."""
+    """Returns the expression that reads a place of W records."""
     return f"{'TRUTHS' if place[0] == 'm' else 'NUMBERS'}_AT({place[2:-1]})"
 
 
 def store(kept: Sequence[Placed], wants: str = "") -> list[str]:
-    """The statements that store vectors in places of W records, or of those that want."""
+    """Returns the statements that store vectors in places of W records, or only of the records in `wants`."""
     texts = [(place, text if "(" not in text else f"({text})") for place, text in kept]
     lines = [f"at[lane]->{place} = {text}[lane];" for place, text in texts]
     if wants:
@@ -205,19 +206,19 @@ def store(kept: Sequence[Placed], wants: str = "") -> list[str]:
 
 
 def outputs(frame: Frame, early: bool) -> list[Part]:
-    """The results that are known before the first loop, or the others."""
+    """Returns the results that are known before the first loop, or the others."""
     return [y for y in frame.body.function.outputs if y.size and frame.is_early(y.name) == early]
 
 
 def filled(frame: Frame, parts: Sequence[Part]) -> list[str]:
-    """The statements that fill arrays of results."""
+    """Returns the statements that fill arrays of results."""
     names = {y.name for y in parts}
     own = [each for each in frame.body.stores if each[0].split("[")[0] in names]
     return [*declared("", parts), *(f"{place} = {frame.body.operand(v, kind)};" for place, v, kind in own)]
 
 
 def scattered(frame: Frame, parts: Sequence[Part]) -> list[str]:
-    """The statements that store results of the columns of W records."""
+    """Returns the statements that store results of the columns of W records."""
     lines = []
     for i, y in enumerate(every(frame.body.function.outputs)):
         for k in range(y.size) if y in parts else ():
@@ -228,7 +229,7 @@ def scattered(frame: Frame, parts: Sequence[Part]) -> list[str]:
 
 
 def every(parts: Sequence[Part]) -> list[Part]:
-    """Those that have components."""
+    """Returns the parts that have components."""
     return [part for part in parts if part.size]
 
 
@@ -266,13 +267,13 @@ def straight(frame: Frame) -> list[str]:
 
 
 def moved(part: Part, to: str, step: str) -> str:
-    """The statement that stores a result of W neighbouring columns."""
+    """Returns the statement that stores a result of W neighbouring columns."""
     call = f"store_{part.kind}({to}, k * {step} + column, lanes, {part.name}[k]);"
     return f"for (int k = 0; k < {part.size}; ++k) {{ {call} }}"
 
 
 def batch(frame: Frame) -> list[str]:
-    """The function of a range of columns; it returns 1 where there is no memory."""
+    """Returns the function of a range of columns; in C it returns 1 if memory is missing."""
     function, number = frame.body.function, frame.numbers[0]
     inputs = every(function.inputs)
     loads = [

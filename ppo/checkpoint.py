@@ -15,10 +15,10 @@ def save(path: Path, content: dict[str, Any]) -> None:
     """Writes a checkpoint, so that a kill at any moment leaves a whole file.
 
     Raises:
-        OSError: it cannot be written; names the file and leaves the old one, with nothing beside it.
+        OSError: it cannot be written. The message names the file; the old file remains, and no other file beside it.
     """
     buffer = io.BytesIO()
-    torch.save(content, buffer)  # onto a full disk, torch ends the process
+    torch.save(content, buffer)  # into memory first: on a full disk torch would end the process
     with naming(path), replacing(path) as file:
         file.write(buffer.getbuffer())
 
@@ -39,10 +39,10 @@ def load(path: str | Path, keys: tuple[str, ...], device: str | torch.device = "
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # damage is reported below, in one line
             content = torch.load(path, map_location=device, weights_only=True)
-    except (OSError, RuntimeError) as error:  # the system, or torch's own reader: they say what is wrong
+    except (OSError, RuntimeError) as error:  # the system's or torch's own message says what is wrong
         reason = str(error).splitlines()[0].partition(". ")[0][:120]
         raise CheckpointError(f"{path}: not a readable checkpoint ({reason})") from None
-    except Exception:  # of other bytes, read as pickle: a key, an index, an end, which tells nobody anything
+    except Exception:  # other bytes, read as pickle, raise errors without a useful message
         raise CheckpointError(
             f"{path}: not a readable checkpoint: damaged, or no policy.pt or checkpoint.pt of train"
         ) from None

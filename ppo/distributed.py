@@ -1,7 +1,7 @@
-"""The processes that torchrun started, called ranks: what they tell each other, and which part of a run each has.
+"""The processes that torchrun started, called ranks: their exchanges, and each rank's part of a run.
 
-The only file that knows torch.distributed. A process that runs alone is rank 0 of 1: its exchanges return what they
-were given and cost nothing.
+Only this file uses torch.distributed. A process that runs alone is rank 0 of 1: its exchanges return their arguments
+and cost no time.
 """
 
 import functools
@@ -20,16 +20,16 @@ from torch import Tensor
 
 from ppo.errors import RankLostError
 
-PATIENCE = timedelta(hours=1)  # with the others, which wait while the first rank evaluates
+PATIENCE = timedelta(hours=1)  # the other ranks wait this long while the first rank evaluates
 
 
 def is_launched() -> bool:
-    """Tells whether torchrun started this process."""
+    """Checks whether torchrun started this process."""
     return "TORCHELASTIC_RUN_ID" in os.environ
 
 
 def is_first() -> bool:
-    """Tells whether this process is rank 0, without a meeting of the ranks."""
+    """Checks whether this process is rank 0, without contacting the other ranks."""
     return not is_launched() or os.environ["RANK"] == "0"
 
 
@@ -43,20 +43,20 @@ def counting_on_others() -> Iterator[None]:
     """Turns the failure of an exchange into a RankLostError."""
     try:
         yield
-    except torch.OutOfMemoryError:  # a RuntimeError, too, but this rank's own
+    except torch.OutOfMemoryError:  # also a RuntimeError, but an error of this rank
         raise
-    except RuntimeError as error:  # what every backend raises where a connection closes or stays silent
+    except RuntimeError as error:  # every backend raises it if a connection closes or stays silent
         said = str(error).splitlines()[0]
-        # neither the place in the source nor advice
+        # leave out the place in the source and the advice
         reason = (said.partition("] ")[2] or said).partition(". ")[0]
         raise RankLostError(f"another rank ended ({reason[:120]})") from None
 
 
 class Ranks:
-    """This process among all that take part.
+    """Describes this process among all ranks, and exchanges data with them.
 
     Attributes:
-        rank: its number, from 0; size: how many there are.
+        rank: its number, from 0; size: the number of ranks.
     """
 
     def __init__(self, rank: int = 0, size: int = 1, store: dist.Store | None = None) -> None:
@@ -64,27 +64,27 @@ class Ranks:
 
     @property
     def first(self) -> bool:
-        """Whether this is rank 0, which writes and speaks for all."""
+        """Checks whether this is rank 0, which writes and prints for all."""
         return self.rank == 0
 
     def share(self, count: int) -> slice:
-        """Which of `count` things in a row are this rank's; the ranks' shares differ by one at most.
+        """Returns which of `count` things in a row are this rank's; the ranks' shares differ by at most one.
 
-        Raises ValueError where there are not enough for all.
+        Raises ValueError if there are fewer things than ranks.
         """
         if count < self.size:
             raise ValueError(f"{count} cannot be shared by {self.size} ranks")
         return slice(self.rank * count // self.size, (self.rank + 1) * count // self.size)
 
     def own(self, tensor: Tensor, dim: int) -> Tensor:
-        """This rank's share of a tensor that every rank has, along an axis."""
+        """Returns this rank's share of a tensor that every rank has, along an axis."""
         if self.size == 1:
             return tensor
         share = self.share(tensor.shape[dim])
         return tensor.narrow(dim, share.start, share.stop - share.start)
 
     def whole(self, tensor: Tensor, dim: int) -> Tensor:
-        """The ranks' tensors, of one shape, put together along an axis; the same on every rank."""
+        """Returns the ranks' tensors, of one shape, concatenated along an axis; the same on every rank."""
         if self.size == 1:
             return tensor
         parts = [torch.empty_like(tensor, memory_format=torch.contiguous_format) for _ in range(self.size)]
@@ -94,7 +94,7 @@ class Ranks:
         return torch.cat(parts, dim)
 
     def average(self, tensors: Sequence[Tensor], samples: int) -> None:
-        """Replaces each rank's means over its share of `samples` by those over all of them, in one exchange."""
+        """Replaces each rank's means over its share of `samples` by the means over all samples, in one exchange."""
         if self.size == 1:
             return
         share = self.share(samples)
@@ -105,7 +105,7 @@ class Ranks:
             tensor.copy_(mean.view_as(tensor))
 
     def offset_and_total(self, count: int) -> tuple[int, int]:
-        """Returns how many things in a row the ranks before this one take if it takes `count`, and all ranks do."""
+        """Returns how many things the ranks before this one take if it takes `count`, and how many all take."""
         if self.size == 1:
             return 0, count
         counts = [torch.zeros(1, dtype=torch.int64) for _ in range(self.size)]
@@ -115,7 +115,7 @@ class Ranks:
         return sum(taken[: self.rank]), sum(taken)
 
     def most(self, number: float) -> float:
-        """The largest of the ranks' numbers."""
+        """Returns the largest of the ranks' numbers."""
         if self.size == 1:
             return number
         largest = torch.tensor(number, dtype=torch.float64)
@@ -124,11 +124,11 @@ class Ranks:
         return largest.item()
 
     def any(self, flag: bool) -> bool:
-        """Whether any rank's flag is set."""
+        """Checks whether any rank's flag is set."""
         return bool(self.most(flag))
 
     def collect(self, thing: Any, device: torch.device) -> list[Any]:
-        """On the first rank every rank's thing, with its tensors on `device`; elsewhere nothing."""
+        """Returns on the first rank every rank's thing, with its tensors on `device`; elsewhere an empty list."""
         if self.size == 1:
             return [thing]
         buffer = io.BytesIO()
@@ -139,7 +139,7 @@ class Ranks:
         return [torch.load(io.BytesIO(each), device, weights_only=False) for each in sent or ()]
 
     def agree(self, thing: Any) -> Any:
-        """The first rank's thing."""
+        """Returns the first rank's thing."""
         if self.size == 1:
             return thing
         things = [thing]
@@ -148,7 +148,7 @@ class Ranks:
         return things[0]
 
     def first_does(self, deed: Callable[[], None]) -> None:
-        """Lets the first rank do it and the others wait; what it raises, all raise."""
+        """Calls `deed` on the first rank while the others wait; an exception is raised on all ranks."""
         refusal = None
         if self.first:
             try:
@@ -159,7 +159,7 @@ class Ranks:
             raise refusal
 
     def first_to_say(self, what: str) -> bool:
-        """Whether no other rank said so; torchrun keeps the record, which outlives every rank."""
+        """Checks whether this is the first rank to say `what`; torchrun keeps the record, which outlives all ranks."""
         try:
             return self.store is None or self.store.add(what, 1) == 1
         except RuntimeError:  # torchrun itself has ended
@@ -171,7 +171,7 @@ ALONE = Ranks()
 
 @functools.cache
 def ranks() -> Ranks:
-    """The ranks of this job; the first call meets the others."""
+    """Returns the ranks of this job; the first call connects to the others."""
     if not is_launched() or os.environ["WORLD_SIZE"] == "1":
         return ALONE
     store, rank, size = next(dist.rendezvous("env://", timeout=PATIENCE))
@@ -186,7 +186,7 @@ Stacked = Tensor | list[Tensor]
 
 @dataclass(frozen=True)
 class Shard:
-    """A rank's part of a run's S seeds of E episodes each, which follow one another: S x E columns.
+    """Describes a rank's part of a run's S seeds of E episodes each, which follow one another: S x E columns.
 
     Attributes:
         seeds: which of the seeds; columns: which of the episodes; num_envs: episodes of each seed.
@@ -200,7 +200,7 @@ class Shard:
     learners: Ranks
 
     def split(self, state: State) -> State:
-        """This rank's part of the state of a whole run."""
+        """Returns this rank's part of the state of a whole run."""
 
         def part(axis: int, values: Any) -> Stacked:
             return values[self.seeds] if axis == 0 else values[..., self.columns]
@@ -208,8 +208,8 @@ class Shard:
         return state if self.ranks.size == 1 else each(part, state)
 
     def join(self, states: list[State]) -> State:
-        """The state of the whole run from those of all ranks in order."""
-        shared = self.learners.size > 1  # the seed: all ranks have the same but for the episodes
+        """Returns the state of the whole run from the states of all ranks in order."""
+        shared = self.learners.size > 1  # all ranks train one seed; their states differ only in episodes
 
         def whole(axis: int, *parts: Any) -> Stacked:
             if axis == 0 and shared:
@@ -223,10 +223,12 @@ class Shard:
 
 
 def each(function: Callable[..., Stacked], *states: Any, axis: int = 0) -> Any:
-    """A function of all that has a place per seed or per episode in nested states; of the rest what the first has.
+    """Applies a function to all parts of nested states that have a place per seed or per episode.
+
+    Other parts are those of the first state.
 
     Args:
-        function: of the axis, 0 for seeds or -1 for slots of episodes, and what each state has there.
+        function: of the axis, 0 for seeds or -1 for slots of episodes, and the part of each state.
     """
     first, *_ = states
     if isinstance(first, dict):
@@ -238,7 +240,7 @@ def each(function: Callable[..., Stacked], *states: Any, axis: int = 0) -> Any:
 
 
 def shard_of_episodes(num_envs: int, minibatch_size: int, ranks: Ranks) -> Shard:
-    """Returns a rank's part of the episodes of the one seed that all ranks train; ValueError where they do not fit."""
+    """Returns a rank's part of the episodes of one seed that all ranks train; raises ValueError if they do not fit."""
     if num_envs % ranks.size:
         raise ValueError(f"[train] num_envs = {num_envs}: must be a multiple of the {ranks.size} ranks")
     if minibatch_size < ranks.size:
@@ -247,7 +249,7 @@ def shard_of_episodes(num_envs: int, minibatch_size: int, ranks: Ranks) -> Shard
 
 
 def shard_of_seeds(num_envs: int, count: int, ranks: Ranks) -> Shard:
-    """Returns a rank's part of so many seeds, which it trains by itself; ValueError where there are too few."""
+    """Returns a rank's part of `count` seeds, each trained by one rank; raises ValueError if there are too few."""
     if count < ranks.size:
         raise ValueError(f"[study] seeds = {count}: cannot be shared by {ranks.size} ranks")
     seeds = ranks.share(count)

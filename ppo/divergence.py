@@ -1,21 +1,21 @@
-"""A price on how far an update moves the policy, which adapts to a target (Schulman et al. 2017, sec. 4)."""
+"""A penalty on how far an update moves the policy, which adapts to a target (Schulman et al. 2017, sec. 4)."""
 
 import torch
 from torch import Tensor
 
-# by how much the divergence must miss its target, and what the price is then multiplied with: RLlib's
+# RLlib's: factors of the target beyond which the penalty changes, and the penalty's factors then
 FAR, NEAR, RISE, FALL = 2.0, 0.5, 1.5, 0.5
 
 
 def divergence(mean: Tensor, log_std: Tensor, new_mean: Tensor, new_log_std: Tensor) -> Tensor:
-    """Return KL(old || new) in nats, (S, B), of diagonal Gaussians over A controls, each (S, B, A)."""
+    """Returns KL(old || new) in nats, (S, B), of diagonal Gaussians over A controls, each (S, B, A)."""
     # sum of log(sigma' / sigma) + (sigma^2 + (mu - mu')^2) / (2 sigma'^2) - 1 / 2
     squares = (2.0 * log_std).exp() + (mean - new_mean).square()
     return (new_log_std - log_std + 0.5 * squares * (-2.0 * new_log_std).exp() - 0.5).sum(-1)
 
 
 class KLPrice:
-    """Price of KL(old || new) in the loss of S seeds, per nat.
+    """Holds the penalty on KL(old || new) in the loss of S seeds, per nat.
 
     Attributes:
         value: (S,).
@@ -26,14 +26,14 @@ class KLPrice:
         self.value = torch.full((seeds,), first, device=device)
 
     def update(self, kl: Tensor) -> None:
-        """Adapt the price to the mean divergence (S,) of an update in nats."""
+        """Adapts the penalty to the mean divergence (S,) of an update in nats."""
         self.value = torch.where(kl > FAR * self.target, RISE * self.value, self.value)
         self.value = torch.where(kl < NEAR * self.target, FALL * self.value, self.value)
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Return what a continued training needs."""
+        """Returns what a continued training needs."""
         return {"value": self.value}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Restore `state_dict`."""
+        """Restores `state_dict`."""
         self.value = state["value"]

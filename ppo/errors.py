@@ -1,13 +1,13 @@
-"""How training ends badly. None of it needs PyTorch, so that whoever catches it need not wait for that."""
+"""Errors that end a training. They do not need PyTorch, so that code that catches them does not wait for its import."""
 
 
 class CheckpointError(ValueError):
-    """The file is missing, damaged or not a checkpoint of this program."""
+    """Signals that the file is missing, damaged or not a checkpoint of this program."""
 
 
 class NonFiniteError(ArithmeticError):
-    """A loss, statistic or gradient became NaN or infinite; the message names it, its seed and minibatch."""
+    """Signals that a loss, statistic or gradient became NaN or infinite; names it, its seed and minibatch."""
 
 
 class RankLostError(Exception):
-    """Another rank ended while this one counted on it."""
+    """Signals that another rank ended while this one waited for it."""

@@ -10,34 +10,34 @@ from typing import BinaryIO
 
 @contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """Lets every OSError of the operating system name the file, also that of a full disk, which names none."""
+    """Adds the file's name to every OSError of the operating system, also that of a full disk, which has no name."""
     try:
         yield
     except OSError as error:
-        if error.errno is None:  # not of the operating system
+        if error.errno is None:  # not an error of the operating system
             raise
         raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def is_written_in_place(path: Path) -> bool:
-    """Whether `path` is there and no file of its own: a link such as /dev/stdout, a device, a pipe or a directory."""
+    """Checks whether `path` exists and is no regular file, but a link (/dev/stdout), device, pipe or directory."""
     return path.exists() and (path.is_symlink() or not path.is_file())
 
 
 def temporary_beside(path: Path) -> Path:
-    """The file that is to become `path`; a kill leaves no other one behind, and the next write takes its place."""
+    """Returns the temporary file for `path`; a kill leaves at most this file, and the next write replaces it."""
     return path.parent / f"{path.name}.tmp"
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A file to write, which takes the place of `path` once it is whole and on the disk.
+    """Yields a file to write, which replaces `path` once it is whole and on the disk.
 
-    A kill at any moment leaves the old file or the new one, an exception the old one and nothing beside it. What is
-    written in place, see above, is not protected.
+    A kill at any moment leaves the old file or the new one. An exception leaves the old one and no other file. A path
+    that is written in place, see above, is not protected.
     """
     if is_written_in_place(path):
-        sys.stdout.flush()  # if it is /dev/stdout, what was printed before comes first
+        sys.stdout.flush()  # for /dev/stdout: earlier output must come first
         with open(path, "wb") as file:
             yield file
         return

@@ -13,12 +13,12 @@ def generalized_advantage(
     gamma: float,
     lam: float,
 ) -> tuple[Tensor, Tensor]:
-    """Return (advantage, return_), each (T, ...) like all tensors given, in units of discounted reward.
+    """Returns (advantage, return_), each (T, ...) like all given tensors, in units of discounted reward.
 
-    next_value[t] is the value of the state that step t led to: where the episode ended, of its last state and
-    not of the one it was reset to. `terminated` (bool) marks a true end, which is worth nothing beyond it;
-    `done` (bool) is terminated | truncated. So a truncated step bootstraps from next_value, a terminated one
-    does not, and no advantage flows back across either. `gamma` discounts per step, `lam` is GAE's lambda.
+    next_value[t] is the value of the state that step t led to. Where the episode ended, this is its last state, not the
+    one after the reset. `terminated` (bool) marks a true end, beyond which the value is zero. `done` (bool) is
+    terminated | truncated. So a truncated step bootstraps from next_value, a terminated one does not, and no advantage
+    flows back across either. `gamma` discounts per step, `lam` is GAE's lambda.
     """
     # delta_t = r_t + gamma V(s_{t+1}) - V(s_t), with V(s_{t+1}) = 0 after a termination
     delta = reward + gamma * next_value.masked_fill(terminated, 0.0) - value

@@ -1,19 +1,20 @@
-"""PPO-Lagrangian: a price on costs that rises until they are as rare as allowed (Ray et al. 2019, sec. 4)."""
+"""PPO-Lagrangian: a penalty on costs that rises until costs are as rare as allowed (Ray et al. 2019, sec. 4)."""
 
 import torch
 from torch import Tensor
 
-# The price is in units of reward per cost of one step; a step of the task earns about 0.01. Beginners break limits
-# hundreds of times as often as is allowed. Their excess counts as 1, so that the integral falls as fast as it rose.
+# The penalty is in units of reward per cost of one step; a step of the task earns about 0.01. Untrained agents violate
+# limits hundreds of times more often than allowed. Their excess counts as 1, so that the integral falls as fast as it
+# rose.
 PROPORTIONAL_GAIN = 0.03
 INTEGRAL_GAIN = 0.003  # per update
-LEAST_LIMIT = 1e-6  # an excess is divided by no less, so that a limit of 0 has a price
+LEAST_LIMIT = 1e-6  # smallest divisor of an excess, so that a limit of 0 has a finite penalty
 
 
 class Multiplier:
-    """Lagrange multiplier of S seeds under PI control (Stooke et al. 2020, algorithm 2, without its derivative).
+    """Holds the Lagrange multiplier of S seeds under PI control (Stooke et al. 2020, algorithm 2, without derivative).
 
-    Its error is the excess of costs in units of their limit, and at most 1. At a limit of 0 the price never falls.
+    Its error is the excess of costs in units of their limit, and at most 1. At a limit of 0 the penalty never falls.
 
     Attributes:
         value: (S,), never negative; 0 at first.
@@ -25,16 +26,16 @@ class Multiplier:
         self.value = torch.zeros(seeds, device=device)
 
     def update(self, cost: Tensor) -> None:
-        """Answer the mean cost per step (S,) of a batch."""
+        """Adapts the multiplier to the mean cost per step (S,) of a batch."""
         excess = ((cost - self.limit) / max(self.limit, LEAST_LIMIT)).clamp(max=1.0)
         # I = (I + K_I Delta)^+, lambda = (K_P Delta + I)^+
         self.integral = (self.integral + INTEGRAL_GAIN * excess).clamp(min=0.0)
         self.value = (PROPORTIONAL_GAIN * excess + self.integral).clamp(min=0.0)
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Return what a continued training needs."""
+        """Returns what a continued training needs."""
         return {"integral": self.integral, "value": self.value}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Restore `state_dict`."""
+        """Restores `state_dict`."""
         self.integral, self.value = state["integral"], state["value"]

@@ -14,26 +14,25 @@ from ppo.lagrangian import Multiplier
 from ppo.network import Policy, Value, gaussian_entropy, gaussian_log_prob
 from ppo.parameters import PPOParameters
 
-MAX_LOG_RATIO = 20.0  # that e^x is finite, also of actions that no agent draws, see `collect`
+MAX_LOG_RATIO = 20.0  # keeps e^x finite, also for actions that no agent draws, see `collect`
 TRAINED_ON = ("observation", "action", "log_prob", "advantage", "return_")
-KEYS = {"reward": "value", "cost": "cost_value"}  # of the networks that predict them, in a checkpoint
-OF_KL = ("mean", "log_std")  # of the collecting policy, where the divergence from it has a price
-OF_COSTS = ("cost", "cost_advantage", "cost_return")  # in a batch, too, where there is a limit on costs
+KEYS = {"reward": "value", "cost": "cost_value"}  # keys in a checkpoint of the networks that predict these
+OF_KL = ("mean", "log_std")  # of the collecting policy, needed if the divergence from it has a penalty
+OF_COSTS = ("cost", "cost_advantage", "cost_return")  # in a batch, needed if costs have a limit
 
 
 def explained_variance(value: Tensor, return_: Tensor) -> Tensor:
-    """Return 1 - Var[return - value] / Var[return], (S,) from (S, N); not finite where returns are equal."""
+    """Returns 1 - Var[return - value] / Var[return], (S,) from (S, N); not finite where returns are equal."""
     return 1.0 - (return_ - value).var(1) / return_.var(1)
 
 
 class PPO:
-    """Learner of S seeds: `policy`, `value` and `generators` (one per seed) must all have the same S.
+    """Trains S seeds: `policy`, `value` and `generators` (one per seed) must all have the same S.
 
-    generators[k] orders the minibatches of seed k. Of many `ranks`, all with equal networks, generators and
-    batches, each computes the gradient on its share of every minibatch, and all take the step of the whole.
-    `first_seed` is the number, from 0, by which errors name the first seed. `cost_value` predicts discounted costs:
-    with it, PPO-Lagrangian keeps the mean cost per step at parameters.cost_limit.
-    Raises ValueError if the numbers of seeds differ.
+    generators[k] orders the minibatches of seed k. With many `ranks`, all have equal networks, generators and batches.
+    Each rank computes the gradient on its share of every minibatch, and all take the same step. Errors count seeds from
+    `first_seed`. `cost_value` predicts discounted costs: with it, PPO-Lagrangian keeps the mean cost per step at
+    parameters.cost_limit. Raises ValueError if the numbers of seeds differ.
     """
 
     def __init__(
@@ -52,7 +51,7 @@ class PPO:
         self.generators = generators
         self.ranks = ranks
         self.first_seed = first_seed
-        self.critics = {"reward": value}  # by what they predict, discounted
+        self.critics = {"reward": value}  # keyed by the signal whose discounted sum they predict
         self.multiplier: Multiplier | None = None
         if cost_value is not None:
             self.critics["cost"] = cost_value
@@ -73,9 +72,9 @@ class PPO:
         )
 
     def compile(self, samples: int) -> None:
-        """Compile the loss and its gradient for batches of `samples` per seed.
+        """Compiles the loss and its gradient for batches of `samples` per seed.
 
-        On a CPU that takes a C++ compiler and is no faster. Raises as torch.compile, and changes nothing then.
+        On a CPU this needs a C++ compiler and is not faster. Raises as torch.compile, and then changes nothing.
         """
         compiled = torch.compile(self._loss, dynamic=False)
         first, *_, last = self.policy.network.layers
@@ -84,27 +83,25 @@ class PPO:
         rows["observation"] = first.weight.new_zeros(*shape, self.value.network.layers[0].weight.shape[1])
         for name in {"action", *OF_KL} & set(rows):
             rows[name] = last.weight.new_zeros(*shape, last.weight.shape[2] // 2)
-        compiled(rows)[0].sum().backward()  # compiles now what the first update would
+        compiled(rows)[0].sum().backward()  # compiles now, not in the first update
         self.optimiser.zero_grad()
         self._loss = compiled  # type: ignore[method-assign]
 
     def update(self, batch: dict[str, Tensor], progress: float) -> dict[str, Tensor]:
-        """Train on one batch and return per-seed statistics (S,), averaged over the minibatches.
+        """Trains on one batch and returns per-seed statistics (S,), averaged over the minibatches.
 
-        `batch` holds float32 tensors: observation (S, N, observation_size), action (S, N, A), and log_prob,
-        advantage, return_ and value (S, N), the latter four as of the collecting policy; with a limit on costs also
-        cost, cost_advantage and cost_return (S, N). `progress` in [0, 1]
-        is the share of training done. An epoch is ceil(N / minibatch_size) minibatches of equal size; the
-        remainder of that division, fewer samples than there are minibatches, sits that epoch out.
+        `batch` holds float32 tensors: observation (S, N, observation_size), action (S, N, A), and log_prob, advantage,
+        return_ and value (S, N), these four for the collecting policy. With a limit on costs it also holds cost,
+        cost_advantage and cost_return (S, N). `progress` in [0, 1] is the share of training done. An epoch is ceil(N /
+        minibatch_size) minibatches of equal size. The remainder of that division, fewer samples than there are
+        minibatches, is left out of that epoch.
 
-        The statistics: policy_loss, value_loss (mean squared error), entropy (nats), approx_kl (nats),
-        clip_fraction, grad_norm (before clipping) and explained_variance (before the update);
-        with a limit on costs also cost (mean per step), multiplier and cost_value_loss; with a price on the
-        divergence also kl (nats) and kl_price.
+        The statistics: policy_loss, value_loss (mean squared error), entropy (nats), approx_kl (nats), clip_fraction,
+        grad_norm (before clipping) and explained_variance (before the update); with a limit on costs also cost (mean
+        per step), multiplier and cost_value_loss; with a penalty on the divergence also kl (nats) and kl_price.
 
-        Raises ValueError for a progress outside [0, 1], and NonFiniteError at the end of an update in which a
-        loss or gradient was not finite: the weights are then spoilt, and training must restart from a
-        checkpoint.
+        Raises ValueError for a progress outside [0, 1]. Raises NonFiniteError at the end of an update in which a loss
+        or gradient was not finite: the weights are then unusable, and training must restart from a checkpoint.
         """
         if not 0.0 <= progress <= 1.0:
             raise ValueError(f"progress is {progress}: it must be in [0, 1]")
@@ -120,7 +117,7 @@ class PPO:
             extra["cost"] = batch["cost"].mean(1)
             self.multiplier.update(extra["cost"])
             extra["multiplier"] = self.multiplier.value
-            # the advantage of r - lambda c, which the loss normalises as a whole
+            # the advantage of r - lambda c; the loss normalises their sum
             priced = batch["advantage"] - self.multiplier.value[:, None] * batch["cost_advantage"]
             batch = batch | {"advantage": priced}
         rows = {name: batch[name].flatten(0, 1) for name in self._trained_on()}
@@ -130,7 +127,7 @@ class PPO:
         for index in self.minibatches(samples, batch["log_prob"].device):
             loss, statistics = self._loss({name: tensor[index] for name, tensor in rows.items()})
             self.optimiser.zero_grad()
-            # the sum over seeds leaves each seed the gradient it would have alone
+            # with the sum over seeds, each seed's gradient is the one it would have alone
             with torch.autocast(loss.device.type, enabled=False):
                 loss.sum().backward()
             self.ranks.average([gradient_of(weight) for weight in self._named.values()], size)
@@ -150,32 +147,32 @@ class PPO:
         return reported | {"explained_variance": explained_variance(batch["value"], batch["return_"])}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all that training changes, except the generators; tensors are shared, as PyTorch's are."""
+        """Returns all that training changes, except the generators; tensors are shared, as PyTorch's are."""
         return {name: part.state_dict() for name, part in self._parts().items()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what state_dict returned; training then continues bit for bit."""
+        """Restores what state_dict returned; training then continues bit for bit."""
         for name, part in self._parts().items():
             part.load_state_dict(state[name])
 
     def _parts(self) -> dict[str, Any]:
-        """Return all that has a state, by its key in a checkpoint."""
+        """Returns all parts that have a state, by their keys in a checkpoint."""
         parts: dict[str, Any] = {"policy": self.policy, "optimiser": self.optimiser}
         parts |= {KEYS[predicted]: critic for predicted, critic in self.critics.items()}
         parts |= {"multiplier": self.multiplier} if self.multiplier else {}
         return parts | ({"kl_price": self.kl_price} if self.kl_price else {})
 
     def _trained_on(self) -> tuple[str, ...]:
-        """Return the names of what a batch must hold to be trained on."""
+        """Returns the names of what a batch must hold to be trained on."""
         return TRAINED_ON + (OF_KL if self.kl_price else ()) + (OF_COSTS if self.multiplier else ())
 
     def _minibatch(self, samples: int) -> tuple[int, int]:
-        """Return how many minibatches an epoch has, and the samples of each."""
+        """Returns how many minibatches an epoch has, and the samples of each."""
         count = math.ceil(samples / self.parameters.minibatch_size)
         return count, samples // count
 
     def minibatches(self, samples: int, device: torch.device) -> Iterator[Tensor]:
-        """Yield for every minibatch of every epoch its rows (S, M) in a batch flattened to (S * N, ...)."""
+        """Yields for every minibatch of every epoch its rows (S, M) in a batch flattened to (S * N, ...)."""
         count, size = self._minibatch(samples)
         for _ in range(self.parameters.epochs):
             orders = [
@@ -185,7 +182,7 @@ class PPO:
             yield from torch.stack(orders).to(device)[:, : count * size].split(size, dim=1)
 
     def _loss(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss (S,) and statistics (S,), which carry no gradient, of this rank's share of a minibatch."""
+        """Returns the loss (S,) and statistics (S,), which carry no gradient, of this rank's share of a minibatch."""
         clip = self.parameters.clip
         own = {name: self.ranks.own(tensor, 1) for name, tensor in batch.items()}
         mean_action, log_std = self.policy(own["observation"])
@@ -224,10 +221,10 @@ class PPO:
         return loss, statistics
 
     def _clip_gradients(self) -> dict[str, Tensor]:
-        """Scale each seed's gradient to at most max_grad_norm; return the norms (S,) before scaling.
+        """Scales each seed's gradient to at most max_grad_norm; returns the norms (S,) before scaling.
 
-        The critic of costs is scaled by itself: a cost of 1 a step is a hundred times a reward, and would take the
-        gradient from the others.
+        The critic of costs is scaled separately: a cost of 1 per step is a hundred times larger than a reward, and
+        would leave almost no gradient to the other networks.
         """
         norms = {
             name: torch.linalg.vector_norm(gradient_of(weight), dim=(1, 2))
@@ -246,20 +243,20 @@ class PPO:
 
 
 def gradient_of(weight: Tensor) -> Tensor:
-    """The gradient that a backward pass left."""
+    """Returns the gradient that a backward pass left."""
     assert weight.grad is not None
     return weight.grad
 
 
 def require_finite(name: str, tensor: Tensor, first_seed: int) -> None:
-    """Raise NonFiniteError, naming the tensor (S, ...) and the first bad seed, unless all of it is finite."""
+    """Raises NonFiniteError, naming the tensor (S, ...) and the first bad seed, unless the tensor is finite."""
     bad = ~torch.isfinite(tensor.flatten(1)).all(1)
     if bad.any():
         raise NonFiniteError(f"{name} is not finite (seed {first_seed + bad.nonzero()[0].item()})")
 
 
 def _finite_mean(history: Tensor, names: list[str], first_seed: int) -> dict[str, Tensor]:
-    """Average (minibatches, names, S) over the minibatches; raise NonFiniteError at the first bad number."""
+    """Averages (minibatches, names, S) over the minibatches; raises NonFiniteError at the first bad number."""
     bad = ~torch.isfinite(history)
     if bad.any():  # the only point of an update where the host waits for the device
         minibatch, name, seed = bad.nonzero()[0].tolist()

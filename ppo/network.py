@@ -1,7 +1,7 @@
 """Gaussian policy and value networks whose parameters carry a leading seed axis S.
 
-Seed k of a stacked network is exactly the network that seed k alone would have: every draw for seed k comes
-from generators[k], and no operation mixes seeds.
+Seed k of a stacked network is exactly the network that seed k alone would have: every draw for seed k comes from
+generators[k], and no operation mixes seeds.
 """
 
 import math
@@ -19,7 +19,7 @@ VALUE_GAIN = 1.0
 
 
 class StackedLinear(nn.Module):
-    """S independent affine maps: weight (S, inputs, outputs), bias (S, 1, outputs).
+    """Applies S independent affine maps: weight (S, inputs, outputs), bias (S, 1, outputs).
 
     The weight of seed k is orthogonal, scaled by `gain` and drawn from generators[k]; the bias is zero.
     """
@@ -35,19 +35,19 @@ class StackedLinear(nn.Module):
         self.bias = nn.Parameter(torch.zeros_like(self.weight[:, :1]))
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map (S, B, inputs) to (S, B, outputs)."""
+        """Maps (S, B, inputs) to (S, B, outputs)."""
         outputs = self.weight.shape[2]
         if outputs > 1:
             return torch.baddbmm(self.bias, x, self.weight)
-        # a lone seed's matrix-vector product is added up in another order than a stack's; two columns are not
+        # A single seed sums a matrix-vector product in another order than a stack; with two columns the orders agree.
         return torch.baddbmm(self.bias, x, nn.functional.pad(self.weight, (0, 1)))[..., :1]
 
 
 class StackedMLP(nn.Module):
-    """S independent perceptrons: tanh after every hidden layer, a linear last layer.
+    """Applies S independent perceptrons: tanh after every hidden layer, a linear last layer.
 
-    `sizes` lists the widths from input to output and `gains` the orthogonal gain of each layer, one fewer.
-    Parameters start on the generators' device.
+    `sizes` lists the widths from input to output and `gains` the orthogonal gain of each layer, one fewer. Parameters
+    start on the generators' device.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class StackedMLP(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map (S, B, sizes[0]) to (S, B, sizes[-1]), in single precision whatever `torch.autocast` says."""
+        """Maps (S, B, sizes[0]) to (S, B, sizes[-1]), in single precision whatever `torch.autocast` says."""
         *hidden, last = self.layers
         with torch.autocast(x.device.type, enabled=False):
             for layer in hidden:
@@ -69,7 +69,7 @@ class StackedMLP(nn.Module):
 
 
 def draw_noise(generators: Sequence[torch.Generator], shape: Sequence[int], device: torch.device) -> Tensor:
-    """Return standard normal noise (S, *shape) on `device`, slice k drawn from generators[k] only."""
+    """Returns standard normal noise (S, *shape) on `device`, slice k drawn from generators[k] only."""
     draws = [
         torch.randn(shape, generator=each, device=each.device, dtype=torch.float32) for each in generators
     ]
@@ -77,30 +77,30 @@ def draw_noise(generators: Sequence[torch.Generator], shape: Sequence[int], devi
 
 
 def gaussian_log_prob(action: Tensor, mean: Tensor, log_std: Tensor) -> Tensor:
-    """Return the log-density (S, B) of actions (S, B, A) under independent Gaussians, summed over A."""
+    """Returns the log-density (S, B) of actions (S, B, A) under independent Gaussians, summed over A."""
     z = (action - mean) * torch.exp(-log_std)
     # log N(a; mu, sigma) = -z^2 / 2 - log sigma - log(2 pi) / 2
     return (-0.5 * z.square() - log_std - 0.5 * math.log(2.0 * math.pi)).sum(-1)
 
 
 def gaussian_entropy(log_std: Tensor) -> Tensor:
-    """Return the differential entropy (S, B) in nats of Gaussians, summed over A."""
+    """Returns the differential entropy (S, B) in nats of Gaussians, summed over A."""
     # H = sum over controls of log sigma + (1 + log(2 pi)) / 2
     return (log_std + 0.5 * (1.0 + math.log(2.0 * math.pi))).sum(-1)
 
 
 def standard_deviation(entropy: float, actions: int) -> float:
-    """Returns the geometric mean of a Gaussian's standard deviations in so many actions, from its entropy in nats."""
+    """Returns the geometric mean of a Gaussian's standard deviations over `actions`, from its entropy in nats."""
     return math.exp(entropy / actions - 0.5 * (1.0 + math.log(2.0 * math.pi)))
 
 
 class Policy(nn.Module):
-    """Diagonal Gaussian policy with state-dependent mean in (-1, 1) and log-std within `log_std_bounds`.
+    """Draws actions from a diagonal Gaussian with mean in (-1, 1) and log-std within `log_std_bounds`, both by state.
 
-    Every layer, the last included, ends in a tanh; without `tanh_outputs` the last one is linear, and its log-std is
-    cut off at the bounds, its mean action at -1 and 1. `initial_std` is the standard deviation that the untrained
-    policy gives a zero observation; `power` shapes what the environment is given, see `shaped`. Raises ValueError if
-    `initial_std` is not inside the bounds.
+    Every layer, also the last, ends in a tanh. Without `tanh_outputs` the last layer is linear; its log-std is clipped
+    to the bounds, and its mean action to [-1, 1]. `initial_std` is the standard deviation of the untrained policy at a
+    zero observation. `power` shapes the environment's actions, see `shaped`. Raises ValueError if `initial_std` is not
+    inside the bounds.
     """
 
     def __init__(
@@ -125,69 +125,69 @@ class Policy(nn.Module):
 
     @property
     def seeds(self) -> int:
-        """S."""
+        """Returns S."""
         return len(self.network.layers[0].weight)
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Return mean and log-std, each (S, B, A), at observations (S, B, observation_size)."""
-        own = observation[..., : self.network.layers[0].weight.shape[1]]  # a critic's may follow
+        """Returns mean and log-std, each (S, B, A), at observations (S, B, observation_size)."""
+        own = observation[..., : self.network.layers[0].weight.shape[1]]  # inputs of a critic may follow
         low, high = self.log_std_bounds
         if not self.tanh_outputs:
             mean, log_std = self.network(own).chunk(2, dim=-1)
             return mean, log_std.clamp(low, high)
         mean, level = torch.tanh(self.network(own)).chunk(2, dim=-1)
-        # log std = low + (high - low) (1 + tanh) / 2: unlike a clamp, never without gradient
+        # log std = low + (high - low) (1 + tanh) / 2: unlike a clamp, it always has a gradient
         return mean, low + (high - low) * 0.5 * (1.0 + level)
 
     @torch.no_grad()
     def sample(
         self, observation: Tensor, generators: Sequence[torch.Generator], ranks: Ranks = ALONE
     ) -> tuple[Tensor, Tensor]:
-        """Draw actions (S, B, A), not clipped, with their log-probabilities (S, B); carries no gradient.
+        """Draws actions (S, B, A), not clipped, with their log-probabilities (S, B); carries no gradient.
 
-        Of many ranks each draws the noise of all and takes its share, so that their generators stay equal.
+        With many ranks, each draws the noise of all and takes its share, so that their generators stay equal.
         """
         mean, log_std = self(observation)
         _, batch, controls = mean.shape
         noise = ranks.own(draw_noise(generators, (batch * ranks.size, controls), mean.device), 1)
         action = mean + log_std.exp() * noise
-        # from the action, not the noise: the learner then recomputes the same number and starts at ratio one
+        # computed from the action, not the noise: so the learner recomputes the same number and starts at ratio one
         return action, gaussian_log_prob(action, mean, log_std)
 
     def log_prob_and_entropy(self, observation: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """Return log-probability and differential entropy in nats, each (S, B), of actions (S, B, A)."""
+        """Returns log-probability and differential entropy in nats, each (S, B), of actions (S, B, A)."""
         mean, log_std = self(observation)
         return gaussian_log_prob(action, mean, log_std), gaussian_entropy(log_std)
 
     @property
     def is_linear(self) -> bool:
-        """Whether the environment is given the actions as they are."""
+        """Checks whether the environment gets the actions unchanged."""
         return self.power == 1.0
 
     def shaped(self, action: Tensor) -> Tensor:
-        """Return what the environment is given for actions (..., A), sign(a) |a|^k in [-1, 1].
+        """Returns the environment's actions for actions a (..., A): sign(a) |a|^k in [-1, 1].
 
-        With power k > 1 noise around zero costs next to nothing, while all of an actuator remains within reach. With
-        k = 1, the paper's, actions are left as they are.
+        With power k > 1 noise around zero costs almost nothing, while the full range of an actuator remains within
+        reach. With k = 1, as in the paper, actions are unchanged.
         """
         if self.is_linear:
             return action
         return action.sign() * action.abs().clamp(max=1.0) ** self.power
 
     def unshaped(self, control: Tensor) -> Tensor:
-        """Return the actions (..., A) that `shaped` makes the given ones of, which must be within [-1, 1]."""
+        """Returns the actions (..., A) that `shaped` maps to the given ones, which must be within [-1, 1]."""
         if self.is_linear:
             return control
         return control.sign() * control.abs() ** (1.0 / self.power)
 
     @torch.no_grad()
     def mean_action(self, observation: Tensor) -> Tensor:
-        """Return the deterministic action (S, B, A), shaped from the mean, in [-1, 1]; carries no gradient."""
+        """Returns the deterministic action (S, B, A), shaped from the mean, in [-1, 1]; carries no gradient."""
         return self.shaped(self(observation)[0].clamp(-1.0, 1.0))
 
 
 class Value(nn.Module):
-    """State-value network; the value is in units of discounted reward."""
+    """Predicts the value of a state, in units of discounted reward."""
 
     def __init__(
         self,
@@ -200,5 +200,5 @@ class Value(nn.Module):
         self.network = StackedMLP((observation_size, *hidden, 1), generators, gains)
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Return values (S, B) at observations (S, B, observation_size)."""
+        """Returns values (S, B) at observations (S, B, observation_size)."""
         return self.network(observation).squeeze(-1)

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from settings import Settings, setting
 
 MAX_WIDTH = 65_536  # of a hidden layer
-LARGEST_WEIGHT = 1e3  # of a term of the loss; far larger ones leave no number in a gradient
+LARGEST_WEIGHT = 1e3  # of a term of the loss; far larger weights overflow the gradient
 
 
 @dataclass(frozen=True)
 class PPOParameters(Settings):
-    """Settings of the learner."""
+    """Holds the settings of the learner."""
 
     gamma: float = setting(0.999, "discount per step", above=0, most=1)
     gae_lambda: float = setting(
@@ -72,7 +72,7 @@ class PPOParameters(Settings):
 
 
 def log_std_bias(std: float, log_std_bounds: Sequence[float]) -> float:
-    """Return the output bias b at which the log-std that a tanh bounds equals log(std).
+    """Returns the output bias b at which the log-std that a tanh bounds equals log(std).
 
     Raises ValueError unless the bounds are finite and exp(low) < std < exp(high).
     """

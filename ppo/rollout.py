@@ -1,4 +1,4 @@
-"""Collecting a batch of experience and turning it into what the learner trains on."""
+"""The collection of a batch of experience, and its conversion into the learner's training data."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
@@ -10,13 +10,14 @@ from ppo.gae import generalized_advantage
 from ppo.learner import PPO
 from ppo.network import Policy
 
-CHANGED = 1e-5  # of an actuator's limit, beyond rounding
+CHANGED = 1e-5  # of an actuator's limit; a larger difference is more than rounding
 
 
 class Transition(Protocol):
-    """One step of a batch of B = S * E episodes with autoreset; final_observation precedes the reset.
+    """Describes one step of a batch of B = S * E episodes with autoreset; final_observation precedes the reset.
 
-    `applied` (B, A) is what acted in the place of the actions given. Where costs are limited there is also `cost` (B,).
+    `applied` (B, A) are the applied controls, which may differ from the given actions. If costs are limited there is
+    also `cost` (B,).
     """
 
     observation: Tensor
@@ -30,7 +31,7 @@ class Transition(Protocol):
 
 
 class Environment(Protocol):
-    """A vector environment whose columns k E to (k+1) E belong to seed k."""
+    """Describes a vector environment whose columns k E to (k+1) E belong to seed k."""
 
     def step(self, action: Tensor) -> Transition: ...
     def observation(self) -> Tensor: ...
@@ -47,12 +48,12 @@ def collect(
 ) -> dict[str, Tensor]:
     """Acts for `steps` steps and returns the learner's batch, (S, N, ...) with N = steps * E.
 
-    The action kept is the one the agent drew, whatever its shape (`Policy.shaped`) or a filter made of it. Of many
-    ranks (learner.ranks), each steps its share of the episodes, and the batch returned is that of all.
+    The action kept is the agent's drawn one, before its shape (`Policy.shaped`) and before a filter changes it. With
+    many ranks (learner.ranks), each steps its share of the episodes, and the returned batch is that of all.
 
     Args:
         watch: is shown every transition, for statistics.
-        from_applied: keep what acted instead, see `as_applied`, and its probability.
+        from_applied: keep the applied action instead, see `as_applied`, and its probability.
     """
     seeds = len(generators)
     kept: list[dict[str, Tensor]] = []
@@ -80,7 +81,7 @@ def collect(
                 "done": done.unflatten(0, (seeds, -1)),
             }
         )
-        for name in learner.critics:  # reward, and cost where it is limited
+        for name in learner.critics:  # reward, and cost if it is limited
             kept[-1] |= {
                 name: getattr(transition, name).unflatten(0, (seeds, -1)).float(),
                 f"{name}_value": value[name],
@@ -110,6 +111,6 @@ def collect(
 
 
 def as_applied(policy: Policy, action: Tensor, applied: Tensor) -> Tensor:
-    """The actions (S, B, A) that would have done what acted: as drawn, but for the controls that were changed."""
+    """Returns the actions (S, B, A) that give the applied controls: as drawn, except for changed controls."""
     changed = (applied - policy.shaped(action).clamp(-1.0, 1.0)).abs() > CHANGED
     return torch.where(changed, policy.unshaped(applied.clamp(-1.0, 1.0)), action)

@@ -1,4 +1,4 @@
-"""Prepares the desired control for the program: finite numbers, and torque that keeps the body rates while held."""
+"""Preparation of the desired control: finite numbers, and torque that keeps the body rates in their limits."""
 
 import torch
 from torch import Tensor
@@ -6,20 +6,20 @@ from torch import Tensor
 from inspection.model.dynamics import euler
 from inspection.model.state import OMEGA, THRUST, TORQUE
 
-# In units of the actuators' limits; what is larger is shortened, so that no digits are lost.
+# In units of the actuators' limits; larger controls are scaled down, so that no digits are lost.
 LARGEST_DEMAND = 1e3
-ENDLESS = 1e30  # N or N m, for infinity
+ENDLESS = 1e30  # N or N m, in place of infinity
 Inertia = tuple[float, float, float]
-FULL_RATE = 0.99  # share of a body rate's limit that a hold brings it to at most
+FULL_RATE = 0.99  # largest body rate at the end of a hold, as a share of its limit
 
 
 def known(x: Tensor) -> Tensor:
-    """Replaces infinity in states (16, B) by NaN: an infinite state is not one."""
+    """Replaces infinity in states (16, B) by NaN, since no spacecraft has an infinite state."""
     return x.masked_fill(x.isinf(), torch.nan)
 
 
 def demanded(desired: Tensor, limit: list[float]) -> Tensor:
-    """Returns what is filtered of controls (6, B) in N and N m, at most LARGEST_DEMAND limits; NaN counts as zero."""
+    """Returns the controls (6, B) in N and N m to filter: at most LARGEST_DEMAND limits, NaN counts as zero."""
     parts = []
     for group in (THRUST, TORQUE):
         part = torch.where(desired[group].isnan().any(0), 0.0, desired[group])
@@ -30,7 +30,7 @@ def demanded(desired: Tensor, limit: list[float]) -> Tensor:
 
 
 def within_rates(x: Tensor, u: Tensor, hold: float, inertia: Inertia, rate: float) -> Tensor:
-    """Clips torque of controls (6, B) so that, held for `hold` s, it brings no body rate beyond `rate` in rad/s.
+    """Clips torque of controls (6, B) so that a hold of `hold` s brings no body rate beyond `rate` in rad/s.
 
     J (+-rate - omega) / T + omega x J omega bounds the torque, to first order in time.
     """
@@ -41,10 +41,10 @@ def within_rates(x: Tensor, u: Tensor, hold: float, inertia: Inertia, rate: floa
 
 
 def in_mid_hold(x: Tensor, u: Tensor, hold: float, inertia: Inertia) -> Tensor:
-    """Returns states (16, B) with the mean body rates of a hold of controls (6, B), since torque is not instantaneous.
+    """Returns states (16, B) with the mean body rates of a hold of controls (6, B), because torque acts over time.
 
-    The rate that a condition counts with changes all the time while torque is held. With the rate at the beginning
-    torque turns to and fro from call to call.
+    A condition depends on the body rate, which changes all the time while torque is held. With the rate at the
+    beginning, torque swings back and forth from call to call.
     """
     mean = x[OMEGA] + hold / 2 * u[TORQUE] / x.new_tensor(inertia)[:, None]
     return torch.cat((x[: OMEGA.start], mean, x[OMEGA.stop :]))

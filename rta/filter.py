@@ -1,9 +1,9 @@
-"""Corrects a desired control minimally, and applies it only after its check.
+"""The filter: it corrects a desired control minimally, and applies a control only after its check.
 
-1. The paper's program (`rta.paper`) proposes a control, with gains that a hold does not overshoot.
-2. The check (`rta.check`) flies what would follow: the control held, then the backup laws until they stay.
-3. Where a limit would be broken, the nearest control on the way to the laws' is applied, at last the laws' own.
-4. The answer says what was done.
+1. The paper's program (`rta.paper`) proposes a control, with gains that do not overshoot in a hold.
+2. The check (`rta.check`) simulates the hold of this control, then the backup laws up to their terminal set.
+3. Where a limit would be violated, controls on the way to those of the laws are tried; the last is the laws' own.
+4. The answer reports which control was applied.
 """
 
 from collections.abc import Mapping
@@ -34,10 +34,10 @@ from rta.result import FilterResult, Status
 
 
 class SafetyFilter(Fixed):
-    """The minimally invasive correction of a desired control.
+    """Corrects a desired control minimally.
 
-    Call it as a function; `correct` is the same without its checks, for batches in float64. Any thread may call it.
-    It is written to be read; what commands fly is compiled (docs/reference/filter.md, *Solvers*).
+    Call it as a function; `correct` is the same without checks of its input, for batches in float64. Any thread may
+    call it. The code is written to be read; commands fly a compiled copy (docs/reference/filter.md, *Solvers*).
 
     Args:
         c: the task's constants; None: the paper's.
@@ -45,12 +45,12 @@ class SafetyFilter(Fixed):
         extra: limits of your own by name, see `rta.own`.
 
     Attributes:
-        limits: all that it enforces by name, the paper's and your own, with the gains that are used.
-        names: of `limits`; program: proposes controls; check: decides; None: nothing does.
-        answer, accepts: compute `correct` and `is_safe`; `rta.fast` has others, which are compiled.
+        limits: all enforced limits by name, the paper's and your own, with the gains that are used.
+        names: of `limits`; program: proposes controls; check: decides; None: proposals are applied without a check.
+        answer, accepts: compute `correct` and `is_safe`; `rta.fast` replaces them by compiled ones.
 
     Raises:
-        ValueError: a vehicle that cannot hold its limits, a limit of your own that is malformed, or no check is known.
+        ValueError: the vehicle cannot hold its limits, a limit of your own is malformed, or no check is known.
     """
 
     FIXED: tuple[str, ...] = ("c", "parameters", "extra", "limits", "names", "check")
@@ -79,11 +79,11 @@ class SafetyFilter(Fixed):
 
     @property
     def period(self) -> float:
-        """Returns s between two calls."""
+        """Returns the time in s between two calls."""
         return self.parameters.period
 
     def enforced(self) -> dict[str, Limit]:
-        """Returns all limits; before a check gains are at most 0.5 / T, since larger ones overshoot in a hold of T."""
+        """Returns all limits; with a check, gains are at most 0.5 / T, since larger ones overshoot in a hold of T s."""
         limits = {**PAPER, **(BESIDE_HULL if self.c.planes else {}), **self.extra}
         if self.parameters.filter == "paper":
             return limits
@@ -95,16 +95,16 @@ class SafetyFilter(Fixed):
 
     @property
     def largest_rate(self) -> float:
-        """Returns rad/s that a proposed hold brings a body rate to at most."""
+        """Returns the largest body rate in rad/s at the end of a proposed hold."""
         return FULL_RATE * self.c.max_rate
 
     @property
     def longest_hold(self) -> float:
-        """Returns s for which a control is held at most."""
+        """Returns the longest time in s for which a control is held."""
         return self.period
 
     def known_check(self) -> Check | None:
-        """Returns the check; raises ValueError where none is known, unless that is asked for."""
+        """Returns the check; raises ValueError if none is known, unless the settings allow that."""
         try:
             check = self.find_check()
         except NoCheckError as error:
@@ -122,7 +122,7 @@ class SafetyFilter(Fixed):
         return check
 
     def find_check(self) -> Check:
-        """Returns the check of a plant that is the model; raises NoCheckError."""
+        """Returns the check for a plant that is the model; raises NoCheckError."""
         return NominalCheck(self.c, self.period)
 
     def with_parts(self: Self, program: PaperFilter, check: Check | None) -> Self:
@@ -135,7 +135,7 @@ class SafetyFilter(Fixed):
 
     @property
     def checked(self) -> tuple[bool, bool]:
-        """Tells whether thrust is checked, and torque."""
+        """Returns whether thrust is checked, and whether torque is."""
         return self.check.knows if self.check else (False, False)
 
     @in_full_precision
@@ -146,17 +146,17 @@ class SafetyFilter(Fixed):
 
     @in_full_precision
     def is_safe(self, x: Tensor) -> Tensor:
-        """Tells which states (16, B) may start an episode, (B,) bool (docs/reference/proof.md).
+        """Checks which states (16, B) may start an episode, (B,) bool (docs/reference/proof.md).
 
-        True where a spacecraft can be in the state (`is_state`), every h >= 0, and the backup laws' flight keeps the
-        limits; without a check, and for limits of your own, every Psi_1 >= 0.
+        It is true where a spacecraft can be in the state (`is_state`), every h >= 0, and the backup trajectory
+        satisfies the limits. Without a check, and for limits of your own, every Psi_1 must be >= 0.
         """
         check_tensors(x=x)
         with torch.no_grad():
             return self.accepts(x)
 
     def accepts(self, x: Tensor) -> Tensor:
-        """Tells the same as `is_safe`."""
+        """Computes `is_safe`."""
         _, _, psi, h = call(self.program.evaluated, x, long=if_long(len(self.c.planes)))
         unchecked = [i for i, name in enumerate(self.names) if not (all(self.checked) and name in PAPERS)]
         kept = is_state(x, self.c) & torch.stack([*h, *(psi[i] for i in unchecked)]).ge(0.0).all(0)
@@ -175,7 +175,7 @@ class SafetyFilter(Fixed):
         return [x, torch.zeros_like(x[:CONTROL_SIZE])]
 
     def safety(self, enabled: bool = True) -> Safety:
-        """Returns what the environment needs: constraint values, admissible starts and, if enabled, this filter."""
+        """Returns the environment's `Safety`: constraint values, safe initial states and, if enabled, this filter."""
         return Safety(
             names=self.names,
             values=self.values,
@@ -186,11 +186,12 @@ class SafetyFilter(Fixed):
 
     @in_full_precision
     def __call__(self, x: Any, desired: Any) -> FilterResult:
-        """Filters a desired control: of one spacecraft, or of each of a batch.
+        """Filters a desired control of one spacecraft, or one of each spacecraft of a batch.
 
         Args:
             x: state (16,) or states (16, B), components in the order of `inspection.model.state`.
-            desired: control (6,) or controls (6, B) in N and N m in the body frame; beyond the actuators' limits, too.
+            desired: control (6,) or controls (6, B) in N and N m in the body frame, perhaps beyond the actuators'
+                limits.
 
         Both are NumPy arrays, PyTorch tensors or lists, of float64, float32 or integers.
 
@@ -202,7 +203,7 @@ class SafetyFilter(Fixed):
             ValueError: another type or shape, a number that is not finite, a quaternion that is not of length 1, or a
                 temperature below absolute zero.
 
-        Warns where a state looks like one in other units, see `inspection.model.state_checks`.
+        Warns if a state seems to be in other units, see `inspection.model.state_checks`.
         """
         given = FilterInput(x, desired, self.c)
         given.warn()
@@ -210,14 +211,14 @@ class SafetyFilter(Fixed):
 
     @in_full_precision
     def correct(self, x: Tensor, desired: Tensor) -> FilterResult:
-        """Filters one control per spacecraft, unchecked.
+        """Filters one control per spacecraft without checking its input.
 
         A state with NaN or infinity has status UNSOLVED and zero control.
 
         Args:
             x: states (16, B), float64.
-            desired: controls (6, B) in N and N m, float64, beyond the actuators' limits, too. Thrust or torque of
-                which a number is NaN counts as zero, and is filtered.
+            desired: controls (6, B) in N and N m, float64, perhaps beyond the actuators' limits. Thrust or torque that
+                contains NaN counts as zero, and is filtered.
         """
         check_tensors(x=x, desired=desired)
         with torch.no_grad():
@@ -232,11 +233,11 @@ class SafetyFilter(Fixed):
         return self.committed(x, desired, self.proposed(x, asked))
 
     def committed(self, y: Tensor, desired: Tensor, proposed: FilterResult) -> FilterResult:
-        """Returns what is applied of a proposal at states y (n, B) as the check knows them."""
+        """Returns the applied control for a proposal at states y (n, B) as the check knows them."""
         return self.check.commit(y, desired, proposed) if self.check else differing(proposed, desired)
 
     def proposed(self, x: Tensor, asked: Tensor) -> FilterResult:
-        """Returns what the program proposes for a hold where controls (6, B) are asked for."""
+        """Returns the program's proposal for a hold, given the desired controls `asked` (6, B)."""
         hold, inertia, rate = self.longest_hold, self.c.inertia, self.largest_rate
         most = x.new_tensor(self.c.control_limit)[:, None]
         asked = call(within_rates, x, asked, hold, inertia, rate)
@@ -250,7 +251,7 @@ class SafetyFilter(Fixed):
 
 
 def differing(result: FilterResult, desired: Tensor) -> FilterResult:
-    """Marks an answer as intervened where its control is not what was desired, NaN for example."""
+    """Marks an answer as intervened where its control differs from the desired one, for example from NaN."""
     result.intervened = (result.control != desired).any(0)
     result.status = torch.where(result.intervened, result.status.clamp(min=Status.HARD), result.status)
     return result

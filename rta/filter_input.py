@@ -1,4 +1,4 @@
-"""Validates the input of the filter: a batch in float64 of it, and answers in its kind."""
+"""Validation of the filter's input, as a float64 batch, and conversion of answers to the kind of the input."""
 
 import math
 import warnings
@@ -15,22 +15,22 @@ from inspection.model.state import CONTROL_SIZE, SIZE, Q, T
 from inspection.model.state_checks import OFF_UNIT, unit_warnings
 from rta.result import FilterResult
 
-# How far a quaternion's length may be from 1: float32 resolves 1e-7, and a state estimate in it drifts by more.
+# How far a quaternion's length may be from 1: float32 resolves 1e-7, and a state estimate in float32 drifts by more.
 UNIT = {torch.float32: OFF_UNIT}
 UNIT_ELSE = 1e-6
-ROUNDED = 1e-12  # by which the length of a quaternion in double precision may be off
+ROUNDED = 1e-12  # how far a quaternion's length in double precision may be from 1 without being normalised
 INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
 
 
 class FilterInput:
-    """A state and a desired control, validated.
+    """Holds a state and a desired control, validated.
 
     Args:
         c: the task's constants.
 
     Attributes:
         x: states (16, B), float64; desired: controls (6, B), float64, both on the desired control's device.
-        single: they are one spacecraft's.
+        single: whether they are one spacecraft's.
 
     Raises:
         ValueError: see `SafetyFilter.__call__`.
@@ -70,14 +70,14 @@ class FilterInput:
                 f"quaternion (components 6 to 9 of the state){where}: must have length 1 to {tolerance:g}, "
                 f"has {length[wrong[0]].item():.9g}"
             )
-        if farthest > ROUNDED:  # which would be taken for another angle to the Sun
+        if farthest > ROUNDED:  # another length would be read as another angle to the Sun
             self.x = self.x.clone()
             self.x[Q] = torch.where(off > ROUNDED, self.x[Q] / length, self.x[Q])
 
     def warn(self) -> None:
-        """Warns, where the filter was called, of a state that looks like one in other units."""
+        """Warns, at the line that called the filter, of a state that seems to be in other units."""
         for warning in unit_warnings(self.x, self.c):
-            warnings.warn(f"state: {warning}", stacklevel=4)  # a decorator is between
+            warnings.warn(f"state: {warning}", stacklevel=4)  # one level is a decorator's
 
     def answer(self, result: FilterResult) -> FilterResult:
         """Converts the filter's answer to the kind of the desired control."""
@@ -92,7 +92,7 @@ class FilterInput:
 
 
 def numbers(name: str, given: Any) -> Tensor:
-    """A tensor of float64, float32 or integers."""
+    """Returns the input as a tensor of float64, float32 or integers."""
     if isinstance(given, np.ma.MaskedArray) and np.ma.is_masked(given):
         raise ValueError(f"{name} holds masked numbers: must be known")
     if not torch.is_tensor(given):
@@ -100,9 +100,9 @@ def numbers(name: str, given: Any) -> Tensor:
             array = np.asarray(given)
             if array.dtype.kind not in "fiu":
                 raise TypeError
-            # PyTorch has neither every integer nor another byte order
+            # PyTorch does not support every integer type, nor other byte orders
             dtype = np.float64 if array.dtype.kind in "iu" else array.dtype.newbyteorder("=")
-            given = torch.from_numpy(np.array(array, dtype, order="C"))  # a copy, which may be written to
+            given = torch.from_numpy(np.array(array, dtype, order="C"))  # a copy: tensors are writable
         except (TypeError, ValueError):
             if isinstance(given, np.ndarray):
                 raise wrong_type(name, given) from None
@@ -121,7 +121,7 @@ def wrong_type(name: str, given: Any) -> ValueError:
 
 
 def check_shape(name: str, part: Tensor, size: int) -> None:
-    """Refuses all but (size,) and (size, B)."""
+    """Raises ValueError for all shapes but (size,) and (size, B)."""
     if part.ndim in (1, 2) and len(part) == size and part.numel():
         return
     transpose = part.ndim == 2 and part.shape[1] == size
@@ -136,6 +136,6 @@ def shown(part: Tensor) -> str:
 
 
 def towards_zero(x: Tensor, dtype: torch.dtype) -> Tensor:
-    """x in another precision, where rounding to nearest may exceed the actuators' limits: rounded towards zero."""
+    """Rounds x towards zero in another precision; rounding to nearest could exceed the actuators' limits."""
     y = x.to(dtype)
     return torch.where(y.double().abs() > x.abs(), torch.nextafter(y, torch.zeros_like(y)), y)

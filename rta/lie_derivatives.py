@@ -1,7 +1,7 @@
 """Lie derivatives of barriers, as functions of functions (Sec. Run Time Assurance).
 
-A barrier is any function of states (16, ...) whose trailing axes are independent spacecraft. A directional
-derivative by forward mode is then the same for one spacecraft and for a batch.
+A barrier is any function of states (16, ...) whose trailing axes are independent spacecraft. A directional derivative
+by forward mode is then the same code for one spacecraft and for a batch.
 """
 
 import threading
@@ -17,15 +17,16 @@ from torch.overrides import TorchFunctionMode
 
 Function = Callable[[Tensor], Tensor]
 
-FORWARD_MODE = threading.RLock()  # PyTorch counts the levels of forward mode for all threads together
+FORWARD_MODE = threading.RLock()  # needed because PyTorch counts forward mode's levels over all threads
 
 
 class WithoutShapes(TorchFunctionMode):
-    """Has sums, differences, products and quotients in forward mode formed without asking Python for shapes.
+    """Computes sums, differences, products and quotients in forward mode without asking Python for shapes.
 
-    PyTorch does that for every derivative that is zero as the operand does not depend on x: half a millisecond each,
-    two thirds of a call of the filter that is not compiled. For numbers it has operations of their own; a tensor is
-    given a derivative of zeros. The results' bits are the same where all operands are finite.
+    PyTorch asks for the shape of every derivative that is zero because the operand does not depend on x. Each takes
+    half a millisecond, together two thirds of a call of the filter that is not compiled. For numbers PyTorch has
+    separate operations; a tensor is given a derivative of zeros. The results' bits are the same where all operands are
+    finite.
     """
 
     OPERATIONS = {  # noqa: RUF012
@@ -39,7 +40,7 @@ class WithoutShapes(TorchFunctionMode):
     def __torch_function__(
         self, function: Callable[..., Any], types: Any, args: Any = (), kwargs: Any = None
     ) -> Any:
-        """Any call that involves a tensor."""
+        """Handles any call that involves a tensor."""
         if not kwargs and function in self.OPERATIONS:
             first, second = args
             if isinstance(second, int | float):
@@ -50,22 +51,22 @@ class WithoutShapes(TorchFunctionMode):
 
 
 def with_derivative(operand: Tensor, other: Tensor) -> Tensor:
-    """An operand with a derivative, of zeros if it has none and the other one has."""
+    """Returns the operand with a derivative: zeros if it has none and the other operand has one."""
     if operand.dtype != other.dtype or depends(operand) or not depends(other):
         return operand
     return torch.where(torch.zeros((), dtype=torch.bool, device=other.device), other, operand)
 
 
 def depends(operand: Tensor) -> bool:
-    """Whether an operand has a derivative."""
+    """Checks whether an operand has a derivative."""
     return unpack_dual(operand).tangent is not None
 
 
 def directional(
     function: Callable[..., Tensor], at: Sequence[Tensor], along: Sequence[Tensor]
 ) -> tuple[Tensor, Tensor]:
-    """A function of several tensors and its derivative along tensors of their shapes, by one forward-mode pass."""
-    if torch.compiler.is_compiling():  # which knows no locks
+    """Returns a function of several tensors and its derivative along tensors, by one forward-mode pass."""
+    if torch.compiler.is_compiling():  # the compiler does not support locks
         return torch.func.jvp(function, tuple(at), tuple(along))[:2]
     with FORWARD_MODE, WithoutShapes():
         load_forward_mode()
@@ -73,20 +74,20 @@ def directional(
 
 
 def lie_derivative(h: Function, x: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
-    """h(x) and its derivative along a direction (16, ...)."""
+    """Returns h(x) and its derivative along a direction (16, ...)."""
     return directional(h, (x,), (direction,))
 
 
 @cache
 def load_forward_mode() -> None:
-    """Has PyTorch load what its first derivative needs, without its warning about code of its own."""
+    """Loads what PyTorch needs for its first derivative, without PyTorch's warning about its own code."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         torch.func.jvp(torch.sin, (torch.zeros(1),), (torch.ones(1),))
 
 
 def lie_derivatives(h: Function, x: Tensor, f: Tensor, g: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """h, L_f h and L_g h.
+    """Returns h, L_f h and L_g h.
 
     Args:
         h: barriers, states (16, ...) to (rows, ...).

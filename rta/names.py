@@ -1,6 +1,6 @@
 """The limits by name, and the units of their h."""
 
-# In the order of the paper's table of violations: seven that only thrust can influence, six that only torque can.
+# In the order of the paper's table of violations: only thrust changes the first seven, only torque the last six.
 TRANSLATIONAL = (
     "collision",
     "dynamic_speed",
@@ -18,8 +18,8 @@ ATTITUDE = (
     "angular_velocity_y",
     "angular_velocity_z",
 )
-PAPERS = TRANSLATIONAL + ATTITUDE  # which the check keeps
-OWN: tuple[str, ...] = ()  # of your own, those that thrust holds first (docs/guides/your_own_constraint.md)
+PAPERS = TRANSLATIONAL + ATTITUDE  # the limits that the check verifies
+OWN: tuple[str, ...] = ()  # your own limits, those on thrust first (docs/guides/your_own_constraint.md)
 CONSTRAINTS = PAPERS + OWN
 UNITS = {  # of h, by limit
     **dict.fromkeys(("collision", "dynamic_speed", "keep_in_zone"), "m/s"),

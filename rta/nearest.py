@@ -1,10 +1,10 @@
-"""The points next to others under linear conditions, one quadratic program after the other by PIQP."""
+"""The points closest to given ones under linear conditions, one quadratic program after the other by PIQP."""
 
 import numpy as np
 import piqp
 from numpy import ndarray
 
-# Tried in this order: beside much slack of a large weight, float64 cannot reach the first one.
+# Tried in this order: with much slack of a large weight, float64 cannot reach the first tolerance.
 TOLERANCES = 1e-11, 1e-9
 
 
@@ -12,14 +12,14 @@ def nearest_points(wanted: ndarray, g: ndarray, low: ndarray, bounded: int) -> t
     """Minimises |z - wanted|^2 subject to sum_j g_j z_j >= low, with the first `bounded` of z in [-1, 1].
 
     Args:
-        wanted: (n, size); g: (n, size, rows), of rows of about length 1; low: (n, rows); all finite: NaN would stay in
-            PIQP's memory and spoil the next program.
+        wanted: (n, size); g: (n, size, rows), of rows of about length 1; low: (n, rows). All are finite: NaN would stay
+            in PIQP's memory and spoil the next program.
 
     Returns:
-        z (n, size), zero where PIQP finds none, and whether it did (n,).
+        z (n, size), zero where PIQP finds no solution, and whether it found one (n,).
     """
     n, size, rows = g.shape
-    box = np.where(np.arange(size) < bounded, 1.0, 1e30)  # which is PIQP's infinity
+    box = np.where(np.arange(size) < bounded, 1.0, 1e30)  # 1e30 is PIQP's infinity
     solver = piqp.DenseSolver()
     solver.settings.preconditioner_iter = 0  # rows are scaled already
     solver.setup(

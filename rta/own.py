@@ -1,4 +1,4 @@
-"""Limits of your own, entries like the paper's (docs/guides/your_own_constraint.md), and what they must satisfy."""
+"""Limits of your own, entries like the paper's (docs/guides/your_own_constraint.md), and the checks of such entries."""
 
 import math
 from numbers import Real
@@ -15,11 +15,11 @@ from rta.lie_derivatives import lie_derivatives
 from rta.limits import Limit
 from rta.paper import hocbf
 
-OWN: dict[str, Limit] = {}  # which every command flies with; `rta.names.OWN` has the names
+OWN: dict[str, Limit] = {}  # every command flies with these limits; `rta.names.OWN` has their names
 
 
 def some_states() -> Tensor:
-    """Returns states (16, 64) of a spacecraft anywhere, to try limits with."""
+    """Returns random states (16, 64) of a spacecraft, to try limits with."""
     generator = torch.Generator().manual_seed(0)
     x = torch.randn(SIZE, 64, generator=generator, dtype=torch.float64)
     x[P], x[Q] = 100.0 * x[P], unit(x[Q])
@@ -27,7 +27,7 @@ def some_states() -> Tensor:
 
 
 def influence(limit: Limit, c: Limits) -> tuple[float, float]:
-    """Returns how much full thrust, and full torque, changes the condition of a limit, in h's unit per s (or s^2)."""
+    """Returns by how much full thrust, and full torque, change a limit's condition, in h's unit per s (or s^2)."""
     x = some_states()
     psi = hocbf(limit, c)
     _, _, slopes = lie_derivatives(lambda y: psi(y)[None], x, drift(x, c), control_matrix(x, c))
@@ -36,10 +36,10 @@ def influence(limit: Limit, c: Limits) -> tuple[float, float]:
 
 
 def check(name: str, limit: Any, c: Limits) -> None:
-    """Raises ValueError where a limit is not as it must be, with what is wrong.
+    """Raises ValueError if a limit is malformed, with the reason.
 
-    h must be of states (16, B), and with an axis of directions before the batch, of operations that PyTorch
-    differentiates forward; a control must first enter the derivative of h that the number of gains says.
+    h must accept states (16, B), and states with an axis of directions before the batch. PyTorch must be able to
+    differentiate its operations forward. A control must first enter the derivative of h that the number of gains says.
     """
     if not isinstance(limit, Limit):
         raise ValueError(f"{name}: must be a Limit(h, gains, weight), not {type(limit).__name__}")
@@ -71,7 +71,7 @@ def check(name: str, limit: Any, c: Limits) -> None:
 
 
 def check_value(name: str, limit: Limit, x: Tensor, c: Limits) -> None:
-    """Raises ValueError where h of states (16, B) is no tensor (B,) of finite numbers."""
+    """Raises ValueError if h of states (16, B) is no tensor (B,) of finite numbers."""
     try:
         h: Any = limit.h(x, c)
     except (RuntimeError, IndexError, TypeError) as error:

@@ -3,9 +3,10 @@
     u_act = argmin |u_des - u|^2 + sum_i w_i delta_i^2
             s.t.   L_f Psi_i + L_g Psi_i u + alpha(Psi_i) + delta_i >= 0,   |u_j| <= u_max
 
-Psi_i is h_i where controls change its first derivative, else the last barrier function of its high-order chain, whose
-derivative they change; alpha(z) = k z. The paper writes BC >= delta, the same with -delta. Each spacecraft has one
-program, of six controls and all slack, solved by PIQP. Nothing is checked: it can fail. `rta.filter` is verified.
+Psi_i is h_i where controls change the first derivative of h_i. Else it is the last barrier function of the high-order
+chain, whose derivative controls change. alpha(z) = k z. The paper writes BC >= delta, the same with -delta. Each
+spacecraft has one program of six controls and all slack, solved by PIQP. Nothing is checked, so the filter can fail;
+`rta.filter` is verified.
 """
 
 import numpy as np
@@ -21,13 +22,13 @@ from rta.limits import PAPER, Limit
 from rta.nearest import nearest_points
 from rta.result import FilterResult, Status
 
-GIVEN = 1e-7  # slack, in the unit of its condition, that is more than rounding
+GIVEN = 1e-7  # slack above this, in the unit of its condition, is more than rounding
 
 Conditions = tuple[Tensor, Tensor, Tensor]  # a (R, 6, B) and b (R, B) of BC = a u + b, and Psi (R, B)
 
 
 def hocbf(limit: Limit, c: Limits) -> Function:
-    """Returns Psi_{d-1} of relative degree d, Psi_0 = h and Psi_j = dPsi_{j-1}/dt + k_j Psi_{j-1} (Eq. HOCBF)."""
+    """Returns Psi_{d-1} of relative degree d, with Psi_0 = h and Psi_j = dPsi_{j-1}/dt + k_j Psi_{j-1} (Eq. HOCBF)."""
 
     def psi(x: Tensor, j: int = len(limit.gains) - 1) -> Tensor:
         if j == 0:
@@ -52,15 +53,15 @@ def asif(
 ) -> tuple[ndarray, ndarray, ndarray]:
     """Returns controls (n, 6), slack (n, R) and `Status` (n,) of n programs; zeros where PIQP finds no solution.
 
-    Controls are in units of the actuators' limits, a (n, R, 6), b (n, R) and desired (n, 6), too. A row of weight
-    None or 0 has no slack. Variables are the controls and sqrt(w) delta, so that the cost is a distance; rows have
-    length 1, and those that no control within the limits breaks are left out.
+    Controls, a (n, R, 6), b (n, R) and desired (n, 6) are in units of the actuators' limits. A condition of weight None
+    or 0 has no slack. The variables are the controls and sqrt(w) delta, so that the cost is a distance. Conditions are
+    scaled to length 1, and those that no control within the limits can violate are left out.
     """
     unit = np.array([weight**-0.5 if weight else 0.0 for weight in weights])
-    length = np.sqrt((a**2).sum(2) + unit**2).clip(min=1e-30)  # of a row that nothing changes
+    length = np.sqrt((a**2).sum(2) + unit**2).clip(min=1e-30)  # of a row that no variable changes
     rows, low, slack = a / length[..., None], -b / length, np.zeros_like(b)
     control, status = np.zeros_like(desired), np.full(len(b), int(Status.UNSOLVED))
-    short = low + np.abs(rows).sum(2)  # of a row, under the worst control
+    short = low + np.abs(rows).sum(2)  # shortfall of each row under the worst control
     order, count = short.argsort(1)[:, ::-1], (short > 0.0).sum(1)
     finite = np.isfinite(short.sum(1) + desired.sum(1))
     for k in np.unique(count[finite]):
@@ -77,7 +78,7 @@ def asif(
 
 
 class PaperFilter:
-    """The filter of a task's constants; `names` are those of the limits."""
+    """Filters controls by the paper's program for a task's constants; `names` are those of the limits."""
 
     def __init__(self, c: Limits, limits: dict[str, Limit] = PAPER) -> None:
         self.c, self.limits, self.names = c, limits, tuple(limits)
@@ -94,7 +95,7 @@ class PaperFilter:
     def correct(self, x: Tensor, desired: Tensor) -> FilterResult:
         """Filters desired controls (6, B) in N and N m at states (16, B), float64.
 
-        What is desired, clipped to the actuators' limits, is the solution where it satisfies every condition.
+        The desired control, clipped to the actuators' limits, is the solution where it satisfies every condition.
         """
         *rows, _, h = self.evaluated(x)
         a, b, asked = (part.movedim(-1, 0).cpu().numpy() for part in (*rows, desired))

@@ -1,4 +1,4 @@
-"""Settings of the filter. Gains and weights stand beside their limits, in `rta.limits`."""
+"""Settings of the filter. Gains and weights are in `rta.limits`, beside their limits."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ QP_SOLVERS = ("auto", "piqp", "batched")
 
 @dataclass(frozen=True)
 class RtaParameters(Settings):
-    """Which filter, how often it is called, and what solves its programs."""
+    """Holds which filter is used, how often it is called, and what solves its programs."""
 
     filter: str = setting(
         "checked",
@@ -36,6 +36,6 @@ class RtaParameters(Settings):
 
     @property
     def solver(self) -> str:
-        """The solver that is used: "piqp" or "batched"."""
+        """Returns the solver that is used: "piqp" or "batched"."""
         auto = "piqp" if self.filter == "paper" else "batched"
         return auto if self.qp_solver == "auto" else self.qp_solver

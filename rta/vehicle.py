@@ -1,4 +1,4 @@
-"""Which vehicle cannot hold its limits, whatever its filter."""
+"""The check that a vehicle can hold its limits at all, whatever its filter."""
 
 import math
 
@@ -8,12 +8,12 @@ from inspection.model.dynamics import energy_rate, euler, temperature_rate
 from inspection.model.parameters import Limits
 
 LEAST_BRAKING = 0.1  # share of a_max that must be left for braking across
-LEAST_TORQUE = 0.5  # share of the torque that must be left for turning at full rate
-MOST_THRUST = 1e6  # m/s^2, whose squares numbers still hold
+LEAST_TORQUE = 0.5  # share of the torque that must be left when turning at full rate
+MOST_THRUST = 1e6  # m/s^2; its squares are still finite
 
 
 def check(c: Limits) -> None:
-    """Raises ValueError where the vehicle cannot hold one of its limits, with the limit, the reason and the number."""
+    """Raises ValueError if the vehicle cannot hold one of its limits, with the limit, the reason and the number."""
     if c.max_thrust / c.mass > MOST_THRUST:
         raise ValueError(
             f"max_thrust / mass = {c.max_thrust / c.mass:.3g} m/s^2: must be at most {MOST_THRUST:.0e}"
@@ -25,7 +25,7 @@ def check(c: Limits) -> None:
         )
     fastest = min(c.docking_speed + c.speed_slope * c.max_distance, math.sqrt(3.0) * c.max_speed)
     falling = c.speed_slope * fastest
-    braking = c.max_thrust / c.mass - c.largest_drift(c.max_distance, 0.0)  # Coriolis' force does no work
+    braking = c.max_thrust / c.mass - c.largest_drift(c.max_distance, 0.0)  # the Coriolis force does no work
     if braking < falling:
         raise ValueError(
             f"max_thrust = {c.max_thrust:g}, mass = {c.mass:g}: brake by {braking:.3g} m/s^2, but the "

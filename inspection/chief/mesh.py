@@ -1,4 +1,4 @@
-"""A chief's mesh: its file, and what its triangles are to each other."""
+"""A chief's mesh: its file, and geometry of its triangles."""
 
 import hashlib
 import io
@@ -15,52 +15,54 @@ from torch import Tensor
 from inspection.model.attitude import norm, unit
 
 ROOT = Path(__file__).parents[2]
-DIGEST = re.compile(r"#([0-9a-f]{12})$")  # behind a mesh's path: how the sha256 of its file begins
-MOST = 20_000  # triangles, or points that a file gives
-SHAPES = {  # of what a file holds, each one's and in words
+DIGEST = re.compile(r"#([0-9a-f]{12})$")  # the end of a mesh's path: the first digits of its file's sha256
+MOST = 20_000  # the most triangles or points in a file
+SHAPES = {  # of the arrays in a file: the shape of an entry, and the array's shape for messages
     "triangles": ((3, 3), "(F, 3, 3)"),
     "points": ((3,), "(N, 3)"),
     "normals": ((3,), "(N, 3)"),
     "areas": ((), "(N,)"),
 }
-TEXTS = "stl", "obj", "off", "ply"  # kinds that are text, or may be, or begin with it
-EXACT = 1e-5  # m, as exact as float32 files are
-AT_ONCE = 2_000_000  # pairs of a point and a triangle that are looked at together
-GOLDEN = 0.7548776662466927, 0.5698402909980532  # Roberts' additive sequence, which fills a square evenly
+TEXTS = "stl", "obj", "off", "ply"  # kinds of files that are text, may be text or begin with text
+EXACT = 1e-5  # m, the accuracy of float32 files
+AT_ONCE = 2_000_000  # pairs of a point and a triangle in one operation, to bound the memory
+GOLDEN = 0.7548776662466927, 0.5698402909980532  # Roberts' additive sequence fills a square evenly
 
 
 def arrays_of_npz(content: bytes) -> dict[str, np.ndarray]:
-    """All arrays of a file."""
+    """Returns all arrays of a file."""
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         return {name: arrays[name] for name in arrays.files}
 
 
 def triangles_of(content: bytes, kind: str) -> np.ndarray:
-    """(F, 3, 3), corner by corner, of a file of one of trimesh's kinds ("stl"); KeyError: there is none such."""
-    import trimesh  # half a second that who has no such file need not wait
+    """Returns the triangles (F, 3, 3) of a file of a kind ("stl"); raises KeyError if trimesh cannot read the kind."""
+    import trimesh  # takes half a second, so import it only for such a file
 
     if kind not in (kinds := trimesh.exchange.load.mesh_formats()):
         raise KeyError(", ".join(f".{each}" for each in sorted(kinds)))
     try:
         return np.array(trimesh.load_mesh(io.BytesIO(content), file_type=kind).triangles)
-    except Exception:  # among others of a package that guesses how text is encoded
+    except Exception:  # trimesh guesses the encoding of text with a package that may fail
         text, mark, numbers = content.removeprefix(BOM_UTF8).partition(
             b"end_header"
-        )  # of .ply; of others all is text
+        )  # ends the text of .ply; other files are all text
         if kind not in TEXTS or b"\0" in text or content.isascii():
             raise
-        # what is not ASCII can only be in names and comments
+        # other characters than ASCII can only be in names and comments
         plain = text.translate(bytes(range(128)) + b"?" * 128) + mark + numbers
         return np.array(trimesh.load_mesh(io.BytesIO(plain), file_type=kind).triangles)
 
 
 def path_of(mesh: str) -> str:
-    """Without its digest."""
+    """Returns the path without its digest."""
     return DIGEST.sub("", mesh)
 
 
 def file_of(mesh: str) -> tuple[str, bytes]:
-    """Its path as it was given, and what the file holds; ValueError where there is none that its digest is of.
+    """Returns the file's path as given and its content; raises ValueError if no file has the digest in `mesh`.
+
+    The path is looked up below the working directory, then below this project's folder.
 
     A path is looked for below the working directory and below this project's folder.
     """
@@ -84,12 +86,12 @@ def file_of(mesh: str) -> tuple[str, bytes]:
 
 
 def digest_of(content: bytes) -> str:
-    """How its sha256 begins, 12 hexadecimal digits."""
+    """Returns the first 12 hexadecimal digits of the content's sha256."""
     return hashlib.sha256(content).hexdigest()[:12]
 
 
 def with_digest(mesh: str) -> str:
-    """A mesh's path and digest, as `DIGEST`."""
+    """Returns a mesh's path with its digest appended, as `DIGEST` describes."""
     if DIGEST.search(mesh):
         return mesh
     path, content = file_of(mesh)
@@ -97,9 +99,10 @@ def with_digest(mesh: str) -> str:
 
 
 def read(mesh: str) -> dict[str, np.ndarray]:
-    """The float64 arrays of a mesh's file: `triangles`, none or more, and all or none of the others in SHAPES.
+    """Returns the float64 arrays of a mesh's file: `triangles` (perhaps none), and all or none of the others in SHAPES.
 
-    ValueError where it holds anything else.
+    Raises:
+        ValueError: the file holds anything else.
     """
     path, content = file_of(mesh)
     suffix = Path(path).suffix.lower()
@@ -112,7 +115,7 @@ def read(mesh: str) -> dict[str, np.ndarray]:
             f"mesh = {path!r}: must end in .npz, or in what trimesh reads: {error.args[0]}"
         ) from None
     except ImportError as error:
-        if error.name not in ("trimesh", None):  # of what reads a file that is none
+        if error.name not in ("trimesh", None):  # the package that reads this kind of file is missing
             raise ValueError(f"mesh = {path!r}: cannot be read: needs {error.name}") from None
         raise ValueError(f"mesh = {path!r}: needs trimesh: pip install trimesh") from None
     except Exception:  # both libraries report damage through many exception types
@@ -140,7 +143,7 @@ def read(mesh: str) -> dict[str, np.ndarray]:
 
 
 def sampled(triangles: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
-    """`count` points (3, N) evenly over the triangles (F, 3, 3), with normals (3, N) and equal areas (N,)."""
+    """Returns `count` points (3, N) spread evenly over triangles (F, 3, 3), normals (3, N) and equal areas (N,)."""
     origin, *edges = triangles[:, 0].T, *((triangles[:, k] - triangles[:, 0]).T for k in (1, 2))
     normals = torch.linalg.cross(*edges, dim=0)
     areas = 0.5 * norm(normals)
@@ -156,14 +159,14 @@ def sampled(triangles: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def body_of(triangles: Tensor) -> Any:
-    """Returns triangles (F, 3, 3) as a body of trimesh, in which corners at the same place are one."""
+    """Returns triangles (F, 3, 3) as a trimesh body, in which corners at the same place are one corner."""
     import trimesh
 
     return trimesh.Trimesh(**trimesh.triangles.to_kwargs(triangles.numpy()))
 
 
 def is_closed(triangles: Tensor) -> bool:
-    """Tells whether every edge of the triangles (F, 3, 3) is one of another, the other way round."""
+    """Checks whether every edge of the triangles (F, 3, 3) is also an edge of another one, in the other direction."""
     if not len(triangles):
         return True
     body = body_of(triangles)
@@ -171,7 +174,10 @@ def is_closed(triangles: Tensor) -> bool:
 
 
 def check_winding(triangles: Tensor, path: str) -> None:
-    """Raises ValueError where neighbours are not counterclockwise from the same side, and one's points face inwards."""
+    """Raises ValueError if neighbours are not counterclockwise from the same side.
+
+    Otherwise the points of one neighbour would face inwards.
+    """
     if not body_of(triangles).is_winding_consistent:
         raise ValueError(
             f"mesh = {path!r}: some neighbours are not counterclockwise from the same side: mend the order of their "
@@ -180,9 +186,9 @@ def check_winding(triangles: Tensor, path: str) -> None:
 
 
 def faces(triangles: Tensor) -> Tensor:
-    """The triangles (F, 3, 3), or (k, 4, 3) where many pairs of them are one flat and convex quadrangle.
+    """Returns the triangles (F, 3, 3), or (k, 4, 3) where many pairs of triangles form a flat, convex quadrangle.
 
-    That has four planes around its cone, two triangles have six. What is left repeats its last corner.
+    A quadrangle has four planes around its cone, two triangles have six. A single triangle repeats its last corner.
     """
     places = (triangles * 1e6).round().long().reshape(-1, 3)  # corners within a micrometre are one
     corners = torch.unique(places, dim=0, return_inverse=True)[1].reshape(-1, 3).tolist()
@@ -206,7 +212,7 @@ def faces(triangles: Tensor) -> Tensor:
 
 
 def is_flat_and_convex(corners: Tensor) -> bool:
-    """Of a quadrangle's corners (4, 3): whether it turns the same way at each, about one axis, and by something."""
+    """Checks whether a quadrangle (4, 3) is flat and turns the same way, by more than zero, at every corner."""
     edges = corners.roll(-1, 0) - corners
     turns = torch.linalg.cross(edges.roll(1, 0), edges)
     axis = torch.nn.functional.normalize(turns.sum(0), dim=0)
@@ -215,9 +221,9 @@ def is_flat_and_convex(corners: Tensor) -> bool:
 
 
 def enclosed(points: Tensor, triangles: Tensor) -> Tensor:
-    """(N,) bool: points (3, N) are within a closed mesh or a part of it (Van Oosterom and Strackee 1983).
+    """Checks which points (3, N) are within a closed mesh or a part of it, (N,) bool (Van Oosterom and Strackee 1983).
 
-    The solid angles of its triangles, signed, add up to 4 pi there and to nothing outside.
+    Inside, the signed solid angles of the triangles sum to 4 pi; outside they sum to zero.
     """
     found = []
     for some in points.T.split(max(1, AT_ONCE // max(1, len(triangles)))):

@@ -1,6 +1,6 @@
 """The chief's inspection points: weights, visibility, illumination and the nearest uninspected cluster.
 
-Points are unit normals n (3, N) on a sphere of radius r_c; per-point masks are (N, B) (Sec. RL Environment).
+The points are unit normals n (3, N) on a sphere of radius r_c. Masks per point are (N, B) (Sec. RL Environment).
 """
 
 import math
@@ -20,7 +20,7 @@ CHUNK = 256  # columns whose per-point values fit into the caches of a CPU
 
 
 def fibonacci_sphere(count: int, dtype: torch.dtype = torch.float64, device: str = "cpu") -> Tensor:
-    """`count` nearly equidistant unit vectors, (3, count): the golden-angle spiral."""
+    """Returns `count` nearly equidistant unit vectors, (3, count), along the golden-angle spiral."""
     i = torch.arange(count, dtype=dtype, device=device)
     z = 1 - (2 * i + 1) / count
     azimuth = i * math.pi * (3 - math.sqrt(5.0))
@@ -29,7 +29,10 @@ def fibonacci_sphere(count: int, dtype: torch.dtype = torch.float64, device: str
 
 
 def point_weights(normals: Tensor, priority: Tensor, areas: Tensor | None = None) -> Tensor:
-    """Weights (N, B), summing to 1 over the points: the angle to the opposite of priority (3, B), by area (N,)."""
+    """Returns weights (N, B) that sum to 1 over the points.
+
+    A weight is proportional to the angle between the normal and the opposite of priority (3, B), and to the area (N,).
+    """
     angle = (-(normals.T @ priority)).clamp(-1.0, 1.0).arccos()
     if areas is not None:
         angle = angle * areas[:, None]
@@ -37,14 +40,14 @@ def point_weights(normals: Tensor, priority: Tensor, areas: Tensor | None = None
 
 
 def illuminated(normals: Tensor, theta_s: Tensor) -> Tensor:
-    """(N, B) bool: the point faces the Sun, which for a sphere is what a ray towards it decides."""
+    """Checks which points face the Sun, (N, B) bool. On a sphere this equals a test of a ray towards the Sun."""
     return normals.T @ sun_direction(theta_s) > 0.0
 
 
 def in_view(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
-    """(2, N, B) bool, whether a point is lit, and whether it is also in view from x (16, B).
+    """Checks from states x (16, B) which points are lit, and which of these are in view, (2, N, B) bool.
 
-    In view is what lies within the camera's cone about +n_x and above the near-side horizon.
+    A point is in view within the camera's cone about +n_x and above the near-side horizon.
     """
     p, r = x[P], c.chief_radius
     boresight = torch.stack(body_axis(x[Q], 0))
@@ -57,9 +60,10 @@ def in_view(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
 
 
 def max_clusters(normals: Tensor, c: InspectionParameters, turns: bool = False) -> int:
-    """Largest k = ceil(n / points_per_cluster) that any lit hemisphere of the Sun's circle can need.
+    """Returns the largest k = ceil(n / points_per_cluster) for any lit hemisphere on the Sun's circle.
 
-    `turns`: of any Sun, which a chief that turns may have; then what a few directions between may need is added.
+    With `turns` the Sun may be in any direction, as for a chief that turns. Only some directions are tested, so one
+    cluster is added as a margin.
     """
     if turns:
         suns = fibonacci_sphere(3600, normals.dtype, str(normals.device))
@@ -73,9 +77,9 @@ def max_clusters(normals: Tensor, c: InspectionParameters, turns: bool = False) 
 def seed_clusters(
     points: Tensor, wanted: Tensor, centres: Tensor, alive: Tensor, count: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Puts every missing one of the first `count` centres on the wanted point farthest from the others.
+    """Puts every missing one of the first `count` centres on the wanted point farthest from the other centres.
 
-    Args and returns as in `cluster`; deterministic, ties go to the lowest point index.
+    Args and returns are as in `cluster`. The result is deterministic: ties go to the lowest point index.
     """
     slots = torch.arange(alive.shape[0], device=alive.device)[:, None]
     missing = (slots < count) & ~alive
@@ -89,18 +93,18 @@ def seed_clusters(
 
 
 def distance_squared(points: Tensor, centres: Tensor) -> Tensor:
-    """|point - centre|^2 for points (3, N) and centres (3, k, B): (N, k, B)."""
+    """Returns |point - centre|^2, (N, k, B), for points (3, N) and centres (3, k, B)."""
     k, batch = centres.shape[1:]
     inner = (points.T @ centres.reshape(3, -1)).reshape(-1, k, batch)
     return dot(points, points)[:, None, None] + dot(centres, centres) - 2 * inner
 
 
 def lloyd(points: Tensor, centres: Tensor, wanted: Tensor, alive: Tensor) -> list[Tensor]:
-    """One iteration of Lloyd's: every living centre moves to the mean of the wanted points nearest to it (of equally
-    near centres, to each).
+    """Runs one iteration of Lloyd: every living centre moves to the mean of the wanted points nearest to it.
 
-    Args as in `cluster`. Returns the centres (3, K, B) and how many points each has (K, B). Matrix products in
-    homogeneous coordinates [p, 1] find the nearest centres and add up their points, one slot after the other.
+    A point with several equally near centres counts for each of them. Args are as in `cluster`. Returns the centres
+    (3, K, B) and how many points each has (K, B). Matrix products in homogeneous coordinates [p, 1] find the nearest
+    centres and add up their points, one slot after the other.
     """
     homogeneous = torch.cat((points, torch.ones_like(points[:1])))
     offset = torch.where(alive, dot(centres, centres), math.inf)
@@ -113,13 +117,13 @@ def lloyd(points: Tensor, centres: Tensor, wanted: Tensor, alive: Tensor) -> lis
 
 
 def settled(points: Tensor, centres: Tensor, wanted: Tensor, alive: Tensor) -> list[Tensor]:
-    """What `lloyd` returns after LLOYD_ITERATIONS."""
+    """Returns what `lloyd` returns after LLOYD_ITERATIONS."""
     new, size = lloyd(points, centres, wanted, alive)
     moving = torch.nonzero((new != centres).any(0).any(0)).flatten()
     for _ in range(LLOYD_ITERATIONS - 1):
         if not moving.numel():
             break
-        # a column that one iteration leaves as it was, every further one would
+        # once an iteration leaves a column unchanged, every further iteration would, too
         before = new[..., moving]
         after, size[:, moving] = lloyd(points, before, wanted[:, moving], alive[:, moving])
         new[..., moving] = after
@@ -135,13 +139,13 @@ def cluster(
     per_cluster: int,
     settle: Callable[[Tensor, Tensor, Tensor], list[Tensor]] | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Batched k-means (Lloyd) of the wanted points, warm-started from the previous step's centres.
+    """Runs batched k-means (Lloyd) on the wanted points, warm-started from the previous step's centres.
 
     Args:
         points: (3, N) positions.
         wanted: (N, B) bool, the points to cluster; k = ceil(wanted / per_cluster) per column.
         centres, alive: (3, K, B) and (K, B) bool, the previous centres and which of them hold a cluster.
-        settle: what computes `settled` of these points.
+        settle: computes `settled` of these points; None: `settled` itself.
 
     Returns:
         The new centres (3, K, B) and alive (K, B).
@@ -161,7 +165,7 @@ def cluster(
 
 
 def by_chunks(function: Callable[..., list[Tensor]], *tensors: Tensor) -> list[Tensor]:
-    """function(*tensors) of tensors whose last axis is the batch, a few columns at once on a CPU."""
+    """Returns function(*tensors), computed a few columns at once on a CPU; the tensors' last axis is the batch."""
     if tensors[0].device.type != "cpu":
         return function(*tensors)
     chunks = zip(*(tensor.split(CHUNK, -1) for tensor in tensors), strict=True)
@@ -170,7 +174,7 @@ def by_chunks(function: Callable[..., list[Tensor]], *tensors: Tensor) -> list[T
 
 
 def nearest_cluster(centres: Tensor, alive: Tensor, p: Tensor) -> Tensor:
-    """r_UPS: unit vector (3, B) from the chief to the living centre nearest to p (3, B); zeros if none."""
+    """Returns r_UPS: unit vectors (3, B) from the chief to the living centre nearest to p (3, B); zeros if none."""
     gap = norm(centres - p[:, None]).masked_fill(~alive, math.inf)
     nearest = gap.argmin(0)
     centre = centres.gather(1, nearest.expand(3, 1, -1))[:, 0]

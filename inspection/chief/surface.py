@@ -1,8 +1,8 @@
-"""The chief's surface: points with normals and areas, of the paper's sphere or of a mesh, and which of them is hidden.
+"""The chief's surface: points with normals and areas, on the paper's sphere or a mesh, and which points are hidden.
 
-A mesh may hide its own points from the camera and from the Sun. Seen from a point, a face, of three or four corners,
-covers a cone of directions, bounded by the planes through the point and two corners each. The planes are computed once;
-where a spacecraft or the Sun is, a point is hidden if they lie inside one of its cones.
+A mesh may hide its own points from the camera and from the Sun. Seen from a point, a face with three or four corners
+covers a cone of directions. The planes through the point and two neighbouring corners bound this cone. The planes are
+computed once. A point is hidden from a spacecraft or the Sun that lies inside one of the point's cones.
 """
 
 import math
@@ -31,19 +31,19 @@ from inspection.model.dynamics import sun_direction
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.model.state import THETA_S, P, Q
 
-FLAT = 1e-9  # m^3, below which a cone holds nothing
-DIRECTIONS = 512, 20_000  # from which a point of a mesh is looked at, to leave out those that are never seen
-GROUPS = 6  # of points with about as many cones each, so that few of those that are computed fill up
+FLAT = 1e-9  # m^3, volume below which a cone counts as empty
+DIRECTIONS = 512, 20_000  # tried per point of a mesh, to leave out points that are never seen
+GROUPS = 6  # groups of points with similar numbers of cones, so that few computed cones are only padding
 
 
 class Surface(NamedTuple):
-    """What is inspected, in the chief's frame.
+    """Holds the surface to inspect, in the chief's frame.
 
     Attributes:
-        points (3, N) in m, normals (3, N), areas (N,) in m^2.
-        triangles: (F, 3, 3) m, corner by corner; none of a sphere.
-        cones: of groups of points one after the other, those with few cones first: (n, K, k, 4) float32, the n planes
-            m . p + b = 0 around each of K cones of k points as [m, b]; m points inwards.
+        points: (3, N) in m; normals: (3, N); areas: (N,) in m^2.
+        triangles: (F, 3, 3) m, corner by corner; a sphere has none.
+        cones: one tensor (n, K, k, 4) float32 per group of points, groups with few cones first. For k points with K
+            cones each, it holds the n planes m . p + b = 0 around each cone as [m, b]; m points inwards.
     """
 
     points: Tensor
@@ -54,7 +54,7 @@ class Surface(NamedTuple):
 
 
 def surface(chief: ChiefParameters, c: InspectionParameters, device: torch.device | str = "cpu") -> Surface:
-    """The chief's; raises ValueError where its file holds none, or one that reaches beyond `chief_radius`."""
+    """Returns the chief's surface; raises ValueError if its file holds none, or reaches beyond `chief_radius`."""
     if not chief.mesh:
         normals = fibonacci_sphere(c.num_points, device=str(device))
         areas = torch.ones_like(normals[0])
@@ -65,9 +65,12 @@ def surface(chief: ChiefParameters, c: InspectionParameters, device: torch.devic
     return Surface(points, normals, areas, triangles, tuple(group.to(device) for group in cones))
 
 
-@lru_cache(maxsize=4)  # a large mesh takes minutes; the file's digest is part of the key
+@lru_cache(maxsize=4)  # a large mesh takes minutes; the key contains the file's digest
 def of_mesh(mesh: str, count: int, largest: float) -> Surface:
-    """Of a file (`with_digest`), with so many points if it has none, within a radius in m; ValueError as `surface`."""
+    """Returns the surface of a file (`with_digest`) within the radius `largest` in m; raises ValueError as `surface`.
+
+    If the file has no points, `count` points are sampled on its triangles.
+    """
     arrays = {name: torch.from_numpy(array) for name, array in read(mesh).items()}
     triangles = arrays["triangles"]
     if "points" in arrays:
@@ -87,10 +90,10 @@ def of_mesh(mesh: str, count: int, largest: float) -> Surface:
 
 
 def hiding(whole: Surface) -> list[Tensor]:
-    """Of each point, the planes (n, K, 3) around the cones of the faces that can hide it, of n corners each.
+    """Returns for each point the planes (n, K, 3) around the cones of the K faces, of n corners, that can hide it.
 
-    These are the faces that rise above the point's horizon; of a closed mesh only those that face it, since what
-    leaves it enters the mesh again through such a one.
+    Only faces that rise above the point's horizon can hide it. For a closed mesh only the faces that face the point
+    count: a ray that leaves the mesh through another face enters it again through one of them.
     """
     points, normals, all_faces = whole.points.T, whole.normals.T, faces(whole.triangles)
     diagonals = all_faces[:, 2] - all_faces[:, 0], all_faces[:, -1] - all_faces[:, 1]
@@ -114,12 +117,12 @@ def hiding(whole: Surface) -> list[Tensor]:
 
 
 def hidden(planes: Tensor, directions: Tensor) -> Tensor:
-    """(k,) bool: directions (3, k) from a point are in one of its cones, their planes (n, K, 3)."""
+    """Checks which directions (3, k) from a point lie in one of its cones, (k,) bool; the planes are (n, K, 3)."""
     return (planes @ directions > 0.0).all(0).any(0)
 
 
 def cuts(counts: list[int]) -> list[int]:
-    """Where to cut what has ascending counts into GROUPS: one after the other, each where it saves the most."""
+    """Returns where to cut ascending counts into GROUPS, one cut after the other, each where it saves the most."""
     found = [0, len(counts)]
     rises = [i for i, (before, after) in enumerate(pairwise(counts), 1) if before < after]
 
@@ -132,14 +135,14 @@ def cuts(counts: list[int]) -> list[int]:
 
 
 def grouped(whole: Surface, planes: list[Tensor], keep: Tensor) -> Surface:
-    """The surface of the points (N,) bool to keep, in GROUPS, those with few cones first."""
+    """Returns the surface of the points to keep (N,) bool in GROUPS, points with few cones first."""
     order = sorted(keep.nonzero().flatten().tolist(), key=lambda i: planes[i].shape[1])
     cones = []
     for begin, end in pairwise(cuts([planes[i].shape[1] for i in order])):
         group = order[begin:end]
         most = planes[group[-1]].shape[1]
         points, normals = whole.points[:, group].T, whole.normals[:, group].T
-        # those that fill up hide nothing above the horizon
+        # padding cones hide nothing above the horizon
         some = -normals[None, None].repeat(len(planes[0]), most, 1, 1)
         for k, i in enumerate(group):
             some[:, : planes[i].shape[1], k] = planes[i]
@@ -151,9 +154,10 @@ def grouped(whole: Surface, planes: list[Tensor], keep: Tensor) -> Surface:
 
 
 def ever_seen(whole: Surface, name: str) -> Surface:
-    """The surface with its cones, without the points that are hidden from everywhere, as those within it are.
+    """Returns the surface with its cones, without the points that are hidden from every direction.
 
-    Those within a part of a closed mesh are left out first: its triangles, looked at from within, hide nothing.
+    Points inside a closed mesh or a part of it are left out first: seen from inside, its triangles hide nothing. Raises
+    ValueError if no point is left; `name` is the mesh for the message.
     """
     if is_closed(whole.triangles):
         outside = ~enclosed(whole.points + 1e-4 * whole.normals, whole.triangles)
@@ -165,7 +169,7 @@ def ever_seen(whole: Surface, name: str) -> Surface:
         raise ValueError(unseen)
     planes = hiding(whole)
     seen = torch.zeros_like(whole.areas, dtype=torch.bool)
-    for count in DIRECTIONS:  # more for those that so many leave out, as the inside of a tube
+    for count in DIRECTIONS:  # try more directions for points not seen yet, such as those inside a tube
         far = fibonacci_sphere(count)
         for i in (~seen).nonzero().flatten().tolist():
             seen[i] = (far.T @ whole.normals[:, i] > 0.0)[~hidden(planes[i], far)].any()
@@ -175,9 +179,9 @@ def ever_seen(whole: Surface, name: str) -> Surface:
 
 
 def groups(whole: Surface, least: int) -> list[tuple[Surface, int]]:
-    """The parts of a surface whose points have equally many cones, each repeated to at least so many; how many it has.
+    """Returns the parts of a surface whose points have equally many cones, and how many points each part has.
 
-    Without any cones it is all of it.
+    The points of a part are repeated to at least `least` points. A surface without cones is one part.
     """
     sizes = [group.shape[2] for group in whole.cones] or [len(whole.areas)]
     found = []
@@ -196,30 +200,30 @@ def groups(whole: Surface, least: int) -> list[tuple[Surface, int]]:
 
 
 def covered(whole: Surface, place: Tensor) -> Tensor:
-    """(N, B), positive where a cone of a point holds the place, a position [p, 1] (4, B) or a direction (3, B).
+    """Returns (N, B), positive where a cone of the point contains a position [p, 1] (4, B) or a direction (3, B).
 
-    It is zero elsewhere. A product is positive where all planes say inside; the compiled code of minima, which must
-    pass NaN on, takes longer.
+    The result is zero elsewhere. A product is positive where the place is inside all planes. Minima would be slower:
+    their compiled code must pass NaN on.
     """
     found = []
     for group in whole.cones:
-        # one after the other in memory
+        # one plane after the other, to save memory
         inside = ((plane[..., : len(place)] @ place).relu() for plane in group)
         found.append(reduce(torch.mul, inside).sum(0))
     return torch.cat(found)
 
 
 def light(whole: Surface, sun: Tensor) -> Tensor:
-    """(N, B) float32, positive where a point sees the Sun in directions (3, B) of the chief's frame."""
+    """Returns (N, B) float32, positive where a point sees the Sun in directions (3, B) of the chief's frame."""
     facing = whole.normals.float().T @ sun
     return torch.where(covered(whole, sun) > 0.0, -1.0, facing) if whole.cones else facing
 
 
 def directions(x: Tensor, attitude: Tensor) -> Tensor:
-    """(9, B) float32 in the chief's frame: where the deputy is in m, whither its camera looks, and where the Sun is.
+    """Returns (9, B) float32 in the chief's frame: the deputy's position in m, its camera's axis, the Sun's direction.
 
     Args:
-        x: states (16, B); attitude: of the chief (4, B), from its frame to Hill's.
+        x: states (16, B); attitude: (4, B) of the chief, from its frame to Hill's.
     """
     to_chief = conjugate(attitude)
     boresight = torch.stack(body_axis(x[Q], 0))
@@ -228,9 +232,9 @@ def directions(x: Tensor, attitude: Tensor) -> Tensor:
 
 
 def seen_from(whole: Surface, where: Tensor, c: InspectionParameters) -> Tensor:
-    """(2, N, B) bool, whether a point is lit, and whether it is also in view, from `directions` (9, B).
+    """Checks which points are lit, and which of these are in view, (2, N, B) bool, from `directions` (9, B).
 
-    In view is what lies within the camera's cone about +n_x, above its point's own horizon, and is not hidden.
+    A point is in view within the camera's cone about +n_x and above the point's own horizon, if no face hides it.
     """
     p, boresight, sun = where.split(3)
     points, normals = whole.points.float(), whole.normals.float()
@@ -244,5 +248,5 @@ def seen_from(whole: Surface, where: Tensor, c: InspectionParameters) -> Tensor:
 
 
 def in_view(whole: Surface, x: Tensor, attitude: Tensor, c: InspectionParameters) -> Tensor:
-    """`seen_from` states x (16, B), where the chief has an attitude (4, B)."""
+    """Returns `seen_from` for states x (16, B) and the chief's attitude (4, B)."""
     return seen_from(whole, directions(x, attitude), c)

@@ -1,4 +1,4 @@
-"""A chief that turns, free of torques: Euler's equations and the kinematics of its attitude."""
+"""A tumbling chief without torques: Euler's equations and the kinematics of its attitude."""
 
 import math
 from collections.abc import Sequence
@@ -12,20 +12,20 @@ from inspection.model.dynamics import euler
 from inspection.model.parameters import ChiefParameters, Model
 from inspection.model.rk4 import rk4_step
 
-ANGLE = 0.05  # rad, by which it turns in an RK4 step at most; the error of one is then about ANGLE^5 / 120, 3e-9 rad
-NUMBERS = -2  # the time in ms of an episode's draws, which no other has
-ATTITUDE, RATE, TIME = slice(0, 4), slice(4, 7), 7  # of a motion
+ANGLE = 0.05  # rad, the largest turn in an RK4 step; the error of a step is about ANGLE^5 / 120, 3e-9 rad
+NUMBERS = -2  # the time in ms that stands for an episode's draws of the chief; no other draws use it
+ATTITUDE, RATE, TIME = slice(0, 4), slice(4, 7), 7  # components of a motion
 
 
 class Tumbling:
-    """The chiefs of a batch of episodes.
+    """Turns the chiefs of a batch of episodes.
 
     Args:
         parameters: attitude, rate and moments; c: the task; batch: episodes, B.
 
     Attributes:
-        motion: (8, B) attitude from the chief's axes to Hill's, rates about its axes in rad/s, and the episodes' time
-            in s when they were so.
+        motion: (8, B) attitude from the chief's axes to Hill's, rates about the chief's axes in rad/s, and the time of
+            the episode in s at which both hold.
     """
 
     def __init__(
@@ -41,7 +41,9 @@ class Tumbling:
 
     @property
     def fastest(self) -> float:
-        """rad/s, that it may come to turn at.
+        """Returns the largest rate in rad/s at which the chief may come to turn.
+
+        The energy sum J w^2 / 2 is constant. So |w|^2 grows at most by the ratio of the largest to the smallest moment.
 
         The energy sum J w^2 / 2 stays, so that |w|^2 grows by the ratio of the moments at most.
         """
@@ -52,11 +54,15 @@ class Tumbling:
 
     @property
     def attitude(self) -> Tensor:
-        """(4, B), from the chief's axes to Hill's, scalar last."""
+        """Returns the attitude (4, B) from the chief's axes to Hill's, scalar last."""
         return self.motion[ATTITUDE]
 
     def begin(self, columns: Tensor, number: Tensor | None) -> None:
-        """Begins episodes in the given columns, from a number in [0, 1) each, (k,), if anything is drawn."""
+        """Begins episodes in the given columns.
+
+        Args:
+            number: (k,) in [0, 1), from which everything random follows; may be None if nothing is drawn.
+        """
         p, motion = self.parameters, self.motion.clone()
         q = motion.new_tensor(p.attitude)
         motion[:, columns] = 0.0
@@ -73,11 +79,14 @@ class Tumbling:
         self.motion = motion
 
     def at(self, time: Tensor) -> None:
-        """Turns all chiefs on to the episodes' time (B,) in s."""
+        """Moves all chiefs on to the episodes' time (B,) in s."""
         self.motion = self.moved(self.motion, time)
 
     def moved(self, motion: Tensor, time: Tensor) -> Tensor:
-        """A motion (8, B) at another time (B,) in s; what is not given a rate stays as it is in Hill's frame."""
+        """Returns a motion (8, B) at another time (B,) in s.
+
+        A chief without a rate keeps its attitude in Hill's frame.
+        """
         seconds = time - motion[TIME]
         steps = math.ceil(float(seconds.abs().max()) * self.fastest / ANGLE)
         turns = self.c.mean_motion if self.c.hill_rotation else None
@@ -87,7 +96,7 @@ class Tumbling:
         return torch.cat((y, time[None]))
 
     def step(self, y: Tensor, seconds: Tensor, turns: float | None) -> Tensor:
-        """One RK4 step of attitude and rates (7, B)."""
+        """Returns attitude and rates (7, B) after one RK4 step."""
 
         def rate(y: Sequence[Tensor]) -> tuple[Tensor, ...]:
             q, omega = y[ATTITUDE], y[RATE]

@@ -1,7 +1,7 @@
 """Quaternion helpers; scalar last, component axis first, batch axes trailing (Sec. Dynamics, Attitude).
 
-Functions that take and return sequences of components are those of the equations of motion: torch.compile fuses
-arithmetic on separate components into a single loop, but not across a stack of them.
+Functions on sequences of components are those of the equations of motion: torch.compile fuses arithmetic on separate
+components into a single loop, but not across a stack of them.
 """
 
 from collections.abc import Sequence
@@ -12,42 +12,42 @@ from torch import Tensor
 from inspection.model.tensors import check_tensors
 
 Vector = tuple[Tensor, Tensor, Tensor]
-Components = Sequence[Tensor] | Tensor  # one after the other, or as the first axis
+Components = Sequence[Tensor] | Tensor  # a sequence of components, or a tensor with them as the first axis
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
-    """Inner product over the component axis: (k, ...) and (k, ...) to (...)."""
+    """Returns the inner product over the component axis: (k, ...) and (k, ...) to (...)."""
     return (a * b).sum(0)
 
 
 def norm(a: Tensor) -> Tensor:
-    """Euclidean norm over the component axis: (k, ...) to (...)."""
+    """Returns the Euclidean norm over the component axis: (k, ...) to (...)."""
     return dot(a, a).sqrt()
 
 
 def cross(a: Components, b: Components) -> Vector:
-    """a x b of three components each, as three components (...)."""
+    """Returns a x b of three components each, as three components (...)."""
     (a1, a2, a3), (b1, b2, b3) = a, b
     return a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1
 
 
 def unit(a: Tensor) -> Tensor:
-    """a / |a|, zero where a is zero: (k, ...) to (k, ...); TypeError: a is no tensor."""
+    """Returns a / |a|, zero where a is zero: (k, ...) to (k, ...); raises TypeError if a is no tensor."""
     check_tensors(a=a)
     length = norm(a)
     return a / torch.where(length > 0, length, torch.ones_like(length))
 
 
 def conjugate(q: Tensor) -> Tensor:
-    """Inverse rotation of a unit quaternion: (4, ...) to (4, ...); TypeError: q is no tensor."""
+    """Returns the inverse of a unit quaternion: (4, ...) to (4, ...); raises TypeError if q is no tensor."""
     check_tensors(q=q)
     return torch.cat((-q[:3], q[3:]))
 
 
 def rotate_components(q: Components, a: Components) -> Vector:
-    """The components of q a q*, from those of q and a.
+    """Returns the components of q a q*, from those of q and a.
 
-    Expanded Hamilton product: a + 2 q4 (q_v x a) + 2 q_v x (q_v x a).
+    The Hamilton product is expanded: a + 2 q4 (q_v x a) + 2 q_v x (q_v x a).
     """
     *q_v, q_4 = q
     t = [2.0 * component for component in cross(q_v, a)]
@@ -56,13 +56,13 @@ def rotate_components(q: Components, a: Components) -> Vector:
 
 
 def rotate(q: Tensor, a: Tensor) -> Tensor:
-    """q a q*: turns a (3, ...) from the body frame into Hill's (with q* the other way); TypeError: one is no tensor."""
+    """Turns a (3, ...) from the body frame into Hill's, q a q*, with q* back; raises TypeError if one is no tensor."""
     check_tensors(q=q, a=a)
     return torch.stack(rotate_components(q, a))
 
 
 def body_axis(q: Components, i: int) -> Vector:
-    """The i-th body axis in Hill's frame, column i of `rotation_matrix`, from the components of q."""
+    """Returns the i-th body axis in Hill's frame, column i of `rotation_matrix`, from the components of q."""
     j, k = (i + 1) % 3, (i + 2) % 3
     column = {
         i: q[3] ** 2 + q[i] ** 2 - q[j] ** 2 - q[k] ** 2,
@@ -73,11 +73,11 @@ def body_axis(q: Components, i: int) -> Vector:
 
 
 def rotation_matrix(q: Tensor) -> Tensor:
-    """R (3, 3, ...) with R a = q a q*: columns are the body axes in Hill's frame, rows Hill's in the body's.
+    """Returns R (3, 3, ...) with R a = q a q*: columns are the body axes in Hill's frame, rows Hill's in the body's.
 
-    R = (q4^2 - |q_v|^2) 1 + 2 q_v q_v' + 2 q4 [q_v x], by components of a few tensors: it is differentiated twice at
-    every call of the filter, and a contraction with coefficients would mostly multiply by zero. TypeError: q is no
-    tensor.
+    R = (q4^2 - |q_v|^2) 1 + 2 q_v q_v' + 2 q4 [q_v x], by components of a few tensors: every call of the filter
+    differentiates it twice, and a contraction with coefficients would mostly multiply by zero. Raises TypeError if q is
+    no tensor.
     """
     check_tensors(q=q)
     vector = q[:3]
@@ -94,7 +94,7 @@ def rotation_matrix(q: Tensor) -> Tensor:
 
 
 def quaternion_rate(q: Components, omega: Components) -> tuple[Tensor, ...]:
-    """The four components of dq/dt = Xi(q) omega / 2, the quaternion's derivative (Sec. Attitude)."""
+    """Returns the four components of dq/dt = Xi(q) omega / 2, the quaternion's derivative (Sec. Attitude)."""
     (q1, q2, q3, q4), (w1, w2, w3) = q, omega
     return (
         0.5 * (q4 * w1 + q2 * w3 - q3 * w2),
@@ -105,7 +105,7 @@ def quaternion_rate(q: Components, omega: Components) -> tuple[Tensor, ...]:
 
 
 def rotated_by(q: Tensor, angle: Tensor) -> Tensor:
-    """The attitude q (4, ...) turned on by a rotation vector (3, ...) in rad, in the body frame."""
+    """Turns the attitude q (4, ...) on by a rotation vector (3, ...) in rad, in the body frame."""
     size = norm(angle)
     half = 0.5 * torch.sinc(size / (2.0 * torch.pi)) * angle, (0.5 * size).cos()
     vector = torch.stack(cross(q[:3], half[0])) + q[3] * half[0] + half[1] * q[:3]
@@ -113,9 +113,9 @@ def rotated_by(q: Tensor, angle: Tensor) -> Tensor:
 
 
 def rate_in_hill(q: Components, omega: Components, n: Tensor | float) -> Vector:
-    """The components of the body's rate relative to Hill's frame, which turns by n rad/s about z, in rad/s.
+    """Returns the components in rad/s of the body's rate relative to Hill's frame, which turns at n rad/s about z.
 
-    That is a gyro's rate omega, relative to the stars, less R^T (0, 0, n); both in the body frame.
+    This is the rate omega relative to the stars, as a gyro measures it, less R^T (0, 0, n); both in the body frame.
     """
     w1, w2, w3 = (omega_i - n * body_axis(q, i)[2] for i, omega_i in enumerate(omega))
     return w1, w2, w3

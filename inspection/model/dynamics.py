@@ -25,12 +25,12 @@ from inspection.model.tensors import check_tensors
 
 
 class Body(NamedTuple):
-    """A body other than the model's, see `inspection.world.plant`.
+    """Describes a body that differs from the model's, see `inspection.world.plant`.
 
     Attributes:
         mass: (...) kg; inertia: three moments (...) in kg m^2.
         push: three components (...) of an acceleration in Hill's frame in m/s^2.
-        in_turning_frame: omega is relative to the stars, and the attitude relative to Hill's frame as that turns.
+        in_turning_frame: omega is relative to the stars, while the attitude is relative to Hill's frame, which turns.
         saturates: each body rate stays within max_rate.
     """
 
@@ -42,12 +42,12 @@ class Body(NamedTuple):
 
 
 def sun_direction(theta_s: Tensor) -> Tensor:
-    """r_S = [cos, sin, 0] in Hill's frame, (...) rad to (3, ...)."""
+    """Returns r_S = [cos, sin, 0] in Hill's frame, (...) rad to (3, ...)."""
     return torch.stack((theta_s.cos(), theta_s.sin(), torch.zeros_like(theta_s)))
 
 
 def sun_and_earth_in_body(x: Tensor) -> tuple[Tensor, Tensor]:
-    """Unit vectors to the Sun and to the Earth (-x in Hill's frame), in the body frame: (16, ...) to (3, ...)."""
+    """Returns unit vectors to Sun and Earth (-x in Hill's frame) in the body frame: (16, ...) to (3, ...)."""
     check_tensors(x=x)
     hill_x, hill_y, _ = rotation_matrix(x[Q])
     theta_s = x[THETA_S]
@@ -55,13 +55,13 @@ def sun_and_earth_in_body(x: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def cosine_to(axis: str, direction: Tensor) -> Tensor:
-    """n . r for a body axis such as "-y" and a unit vector in the body frame, (3, ...) to (...)."""
+    """Returns n . r for a body axis such as "-y" and a unit vector in the body frame, (3, ...) to (...)."""
     index, sign = AXES[axis]
     return direction[index] if sign > 0 else -direction[index]
 
 
 def euler(omega: Any, inertia: Any) -> tuple[Any, Any, Any]:
-    """Components of the gyroscopic angular acceleration J^-1 (-omega x J omega) in rad/s^2, of tensors or numbers."""
+    """Returns the components of J^-1 (-omega x J omega) in rad/s^2, the gyroscopic term, for tensors or numbers."""
     (w1, w2, w3), (j1, j2, j3) = omega, inertia
     return (j2 - j3) / j1 * w2 * w3, (j3 - j1) / j2 * w1 * w3, (j1 - j2) / j3 * w1 * w2
 
@@ -72,13 +72,13 @@ def most_gyroscopic(inertia: Any) -> float:
 
 
 def attitude_rate(x: Components, turns: bool, c: Limits) -> tuple[Tensor, ...]:
-    """The components of dq/dt, from those of x; `turns`: omega is relative to the stars, not to Hill's frame."""
+    """Returns the components of dq/dt from those of x; `turns`: omega is relative to the stars, not Hill's frame."""
     omega = rate_in_hill(x[Q], x[OMEGA], c.mean_motion) if turns else x[OMEGA]
     return quaternion_rate(x[Q], omega)
 
 
 def temperature_rate(cos_sun: Tensor, cos_earth: Tensor, temperature: Tensor, c: Limits) -> Tensor:
-    """dT/dt in deg C/s of one thermal node: solar + albedo + infrared - rejected heat."""
+    """Returns dT/dt in deg C/s of one thermal node: solar + albedo + infrared - rejected heat."""
     area = c.surface_area
     view = c.view_factor * cos_earth.clamp(min=0.0)
     solar = c.absorptivity * area * c.solar_constant * cos_sun.clamp(min=0.0)
@@ -89,18 +89,18 @@ def temperature_rate(cos_sun: Tensor, cos_earth: Tensor, temperature: Tensor, c:
 
 
 def energy_rate(cos_panel: Tensor, c: Limits) -> Tensor:
-    """dE/dt in kJ/s: P_I I_d A cos(theta) - P_out, with no power from behind the panels."""
+    """Returns dE/dt in kJ/s: P_I I_d A cos(theta) - P_out, with no power from behind the panels."""
     power_in = c.panel_performance * c.panel_degradation * c.surface_area * cos_panel.clamp(min=0.0)
     return (power_in - c.power_draw) / 1000.0
 
 
 def resource_rates(x: Components, c: Limits) -> tuple[Tensor, Tensor]:
-    """dT/dt in deg C/s and dE/dt in kJ/s, from the components of the state."""
+    """Returns dT/dt in deg C/s and dE/dt in kJ/s, from the components of the state."""
     q, theta_s = x[Q], x[THETA_S]
     cos, sin = theta_s.cos(), theta_s.sin()
 
     def cosines(axis: str) -> tuple[Tensor, Tensor]:
-        """n . r_S and n . r_E of a body axis."""
+        """Returns n . r_S and n . r_E of a body axis."""
         index, sign = AXES[axis]
         n_x, n_y, _ = body_axis(q, index)
         return sign * (cos * n_x + sin * n_y), -sign * n_x
@@ -111,7 +111,7 @@ def resource_rates(x: Components, c: Limits) -> tuple[Tensor, Tensor]:
 
 
 def natural_rates(x: Components, c: Limits) -> list[Tensor]:
-    """f(x), the 16 components of the state (...) to their rates in the state's units per second."""
+    """Returns f(x): the 16 components of the state (...) to their rates in the state's units per second."""
     p, v, omega = x[P], x[V], x[OMEGA]
     return [
         *v,
@@ -124,13 +124,13 @@ def natural_rates(x: Components, c: Limits) -> list[Tensor]:
 
 
 def drift(x: Tensor, c: Limits) -> Tensor:
-    """f(x), (16, ...) to (16, ...) in the state's units per second; TypeError: x is no tensor."""
+    """Returns f(x), (16, ...) to (16, ...) in the state's units per second; raises TypeError if x is no tensor."""
     check_tensors(x=x)
     return torch.stack(natural_rates(x.unbind(0), c))
 
 
 def control_matrix(x: Tensor, c: Limits) -> Tensor:
-    """g(x), (16, ...) to (16, 6, ...): thrust through the attitude, torque through the inertia; raises as `drift`."""
+    """Returns g(x), (16, ...) to (16, 6, ...): thrust by attitude, torque by inertia; raises as `drift`."""
     check_tensors(x=x)
     g = x.new_zeros(x.shape[0], CONTROL_SIZE, *x.shape[1:])
     g[V, THRUST] = rotation_matrix(x[Q]) / c.mass
@@ -140,7 +140,10 @@ def control_matrix(x: Tensor, c: Limits) -> Tensor:
 
 
 def derivative(x: Components, u: Components, c: Limits, body: Body | None = None) -> list[Tensor]:
-    """The components of f(x) + g(x) u, from those of x and of u in N and N m; None: the body is the model's."""
+    """Returns the components of f(x) + g(x) u, from those of x and of u in N and N m.
+
+    Without a `body` the body is the model's.
+    """
     rate = natural_rates(x, c)
     mass, inertia = (body.mass, body.inertia) if body else (c.mass, c.inertia)
     if body:
@@ -154,7 +157,9 @@ def derivative(x: Components, u: Components, c: Limits, body: Body | None = None
 
 
 def step(x: Tensor, u: Tensor, duration: Tensor | float, c: Limits, body: Body | None = None) -> Tensor:
-    """One RK4 step of `duration` s with u held; renormalises q and saturates the body rates if asked to.
+    """Returns the state after one RK4 step of `duration` s with u held.
+
+    The step renormalises q and saturates the body rates if the body or the model does so.
 
     Args:
         x: states (16, ...); u: controls (6, ...) in N and N m.
@@ -179,7 +184,7 @@ def integrate(
     times: int = 1,
     body: Body | None = None,
 ) -> Tensor:
-    """The state after so many `step`s."""
+    """Returns the state after `times` steps of `step`."""
     for _ in range(times):
         x = step(x, u, duration, c, body)
     return x

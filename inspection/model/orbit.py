@@ -1,6 +1,6 @@
-"""Gravity in Hill's frame, and where free flight leads (Sec. Dynamics, Passively Safe Maneuvers).
+"""Gravity in Hill's frame, and the path of free flight (Sec. Dynamics, Passively Safe Maneuvers).
 
-The chief is on a circle. Gravity is linear in the deputy's position (Clohessy and Wiltshire).
+The chief's orbit is a circle. Gravity is linear in the deputy's position (Clohessy and Wiltshire).
 
 Every function is written for one spacecraft with the component axis first; batch axes trail and broadcast.
 """
@@ -21,7 +21,7 @@ def clohessy_wiltshire(p: Components, v: Components, n: float) -> Vector:
 
 
 def free_flight(p: Tensor, v: Tensor, t: Tensor, n: float) -> Tensor:
-    """Returns the position after coasting for t s, Clohessy and Wiltshire's solution (Sec. Passively Safe Maneuvers).
+    """Returns the position after t s of coasting, by Clohessy and Wiltshire (Sec. Passively Safe Maneuvers).
 
     Args:
         p, v: (3, ...) position in m and velocity in m/s at t = 0.
@@ -42,15 +42,15 @@ def free_flight(p: Tensor, v: Tensor, t: Tensor, n: float) -> Tensor:
 
 
 def closest_pass(x: Tensor, horizon: float, c: Model, spacing: float = 10.0) -> Tensor:
-    """The position in m next to the chief's centre while coasting for `horizon` s: states (16, k) to (3, k).
+    """Returns the position in m closest to the chief's centre while coasting for `horizon` s: states (16, k) to (3, k).
 
-    The path is sampled every `spacing` s at most and joined by straight chords, so that a fast pass between two
-    samples is not missed; a chord strays from the arc by at most |a| spacing^2 / 8 (0.1 m at 0.01 m/s^2), and the last
-    one ends up to `spacing` s after the horizon.
+    The path is sampled at least every `spacing` s and joined by straight chords, so that a fast pass between two
+    samples is not missed. A chord is off the arc by at most |a| spacing^2 / 8 (0.1 m at 0.01 m/s^2). The last chord
+    ends up to `spacing` s after the horizon.
 
-    One orbit is enough: every later one is the same, moved along the track by
-    -6 pi (2 x + v_y / n), and each chord is looked at in the orbit in which its point next to the line along the track
-    through the chief is next to the chief.
+    One orbit is enough: every later orbit is the same path, moved along the track by -6 pi (2 x + v_y / n). For each
+    chord take its point closest to the line along the track through the chief; the chord counts in the orbit in which
+    this point is closest to the chief.
     """
     orbit = 2.0 * math.pi / c.mean_motion
     repeats = horizon > orbit
@@ -70,14 +70,14 @@ def closest_pass(x: Tensor, horizon: float, c: Model, spacing: float = 10.0) -> 
     return closest.gather(1, first.expand(3, 1, -1))[:, 0]
 
 
-PASSES = 13  # grid points per segment, in the default ones at most 12 s apart
+PASSES = 13  # grid points per segment, at most 12 s apart in the default segments
 
 
 def closest_times(x: Tensor, segments: tuple[float, ...], c: Model) -> Tensor:
-    """When the free flight is nearest to the chief's centre within each segment: (16, ...) to (segments, ...) s.
+    """Returns when free flight is closest to the chief's centre within each segment: (16, ...) to (segments, ...) s.
 
-    The best of a grid, refined by the parabola of |p(t)|^2 through it and its neighbours (exact for a
-    straight path, which the path is over two grid steps to a few centimetres).
+    The best grid point is refined by the parabola of |p(t)|^2 through it and its neighbours. The parabola is exact for
+    a straight path; over two grid steps the path is straight to a few centimetres.
     """
     edges = x.new_tensor(segments)
     start, spacing = edges[:-1], edges.diff() / (PASSES - 1)
@@ -95,5 +95,5 @@ def closest_times(x: Tensor, segments: tuple[float, ...], c: Model) -> Tensor:
 
 
 def share(start: Tensor, chord: Tensor) -> Tensor:
-    """How far along a chord, 0 to 1, it is nearest to the origin."""
+    """Returns how far along a chord, 0 to 1, it is closest to the origin."""
     return (-dot(start, chord) / dot(chord, chord).clamp(min=1e-30)).clamp(0.0, 1.0)

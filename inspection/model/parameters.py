@@ -1,7 +1,7 @@
-"""Every constant of the inspection task, with its unit, its source and what is allowed: model, limits and episode.
+"""Every constant of the inspection task, with its unit, its source and its allowed values: model, limits and episode.
 
-"Sec." and "Eq." refer to Dunlap et al., AFRL-2024-3223. Entries marked (decision) fill a gap or a
-contradiction in the paper; docs/reference/differences.md gives the reason for each.
+"Sec." and "Eq." refer to Dunlap et al., AFRL-2024-3223. Entries marked (decision) fill a gap or a contradiction in the
+paper; docs/reference/differences.md gives the reason for each.
 """
 
 import math
@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 from settings import Settings, setting
 
-SLOWEST_ORBIT = 1e-12  # rad/s; that slow, nothing turns
-ALIGNED = (0.0, 0.0, 0.0, 1.0)  # an attitude: the axes of one frame are those of the other
+SLOWEST_ORBIT = 1e-12  # rad/s; so slow that nothing turns
+ALIGNED = (0.0, 0.0, 0.0, 1.0)  # the attitude of a frame whose axes are those of the other frame
 FASTEST_CHIEF = 10.0  # deg/s; an action takes 10 s
-MOST_UNEQUAL = 1000.0  # moments of a chief, which may come to turn faster by the root of that
+MOST_UNEQUAL = 1000.0  # ratio of a chief's moments; the chief may come to turn faster by its square root
 AXES = {"+x": (0, 1.0), "-x": (0, -1.0), "+y": (1, 1.0), "-y": (1, -1.0), "+z": (2, 1.0), "-z": (2, -1.0)}
 
-# What an agent may observe, see `inspection.observation`: the paper's, the axes of Hill's frame, where free flight
-# passes the chief, and how the chief turns.
+# Groups of components that an agent may observe, see `inspection.observation`: the paper's, the axes of Hill's frame,
+# where free flight passes the chief, and how the chief turns.
 OBSERVED = (
     *("position", "velocity", "angular_velocity", "energy", "temperature"),
     *("sun", "priority", "uninspected", "score"),
@@ -26,7 +26,7 @@ OBSERVABLE = (*OBSERVED, "hill", "free_flight", "chief")
 
 @dataclass(frozen=True)
 class Model(Settings):
-    """The motion of a deputy spacecraft, its temperature and its battery (Sec. Dynamics)."""
+    """Holds the constants of a deputy spacecraft's motion, temperature and battery (Sec. Dynamics)."""
 
     mean_motion: float = setting(
         0.001027,
@@ -84,7 +84,7 @@ class Model(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        rounding = 1 + 1e-9  # of a flat plate, whose largest moment is that sum
+        rounding = 1 + 1e-9  # for a flat plate, whose largest moment equals the sum of the others
         if 2 * max(self.inertia) > rounding * sum(self.inertia):
             raise ValueError(
                 f"inertia = {list(self.inertia)}: no body has a moment above the sum of the other two"
@@ -92,7 +92,7 @@ class Model(Settings):
 
     @property
     def max_torque(self) -> float:
-        """tau_max = min(J domega_max, D dpsi_max) in N m, the smallest over the axes."""
+        """Returns tau_max = min(J domega_max, D dpsi_max) in N m, the smallest over the axes."""
         return min(
             min(self.inertia) * self.max_angular_acceleration,
             self.wheel_inertia * self.max_wheel_acceleration,
@@ -100,13 +100,13 @@ class Model(Settings):
 
     @property
     def control_limit(self) -> tuple[float, ...]:
-        """Actuator limits of the six controls: N, N, N, N m, N m, N m."""
+        """Returns the actuator limits of the six controls: N, N, N, N m, N m, N m."""
         return (self.max_thrust,) * 3 + (self.max_torque,) * 3
 
     def largest_drift(self, distance: float, speed: float) -> float:
         """Returns the largest natural acceleration in m/s^2 within a distance in m of the chief, up to a speed in m/s.
 
-        The tide is 3 n^2 per m at most, Coriolis' acceleration 2 n per m/s.
+        Gravity's gradient is at most 3 n^2 per m, the Coriolis acceleration 2 n per m/s.
         """
         n = self.mean_motion
         return 3 * n**2 * distance + 2 * n * speed
@@ -114,7 +114,7 @@ class Model(Settings):
 
 @dataclass(frozen=True)
 class Limits(Model):
-    """The model and the limits to keep: all of the task that what a filter guarantees depends on."""
+    """Holds the model and the limits: all of the task on which a filter's guarantee depends."""
 
     deputy_radius: float = setting(
         5.0, "m, r_d, of the deputy's sphere", above=0, note="Safety limits (Sec. Safety Constraints)"
@@ -168,24 +168,24 @@ class Limits(Model):
 
     @property
     def collision_radius(self) -> float:
-        """r_d + r_c in m."""
+        """Returns r_d + r_c in m."""
         return self.deputy_radius + self.chief_radius
 
     @property
     def planes(self) -> tuple[tuple[float, ...], ...]:
-        """Around the chief where its hull is what to stay clear of, see `inspection.chief.hull`; none: a sphere is."""
+        """Returns the planes of the chief's hull if the task avoids it (`inspection.chief.hull`), none for a sphere."""
         return ()
 
     @property
     def least_distance(self) -> float:
-        """m from the chief's centre at which the deputy touches it, at the nearest."""
+        """Returns the smallest distance in m from the chief's centre at which the deputy touches the chief."""
         return self.collision_radius
 
     @property
     def max_acceleration(self) -> float:
-        """a_max of the collision and keep-in constraints in m/s^2 (decision): thrust less the worst drift.
+        """Returns a_max of the collision and keep-in constraints in m/s^2 (decision): thrust less the worst drift.
 
-        F_max / m - 3 n^2 r_max - 2 n v_max with v_max = min(max_speed, nu_0 + nu_1 r_max).
+        a_max = F_max / m - 3 n^2 r_max - 2 n v_max with v_max = min(max_speed, nu_0 + nu_1 r_max).
         """
         speed = min(self.max_speed, self.docking_speed + self.speed_slope * self.max_distance)
         return self.max_thrust / self.mass - self.largest_drift(self.max_distance, speed)
@@ -193,7 +193,7 @@ class Limits(Model):
 
 @dataclass(frozen=True)
 class Episode(Settings):
-    """What the agent is to do, sees and is rewarded for; no guarantee of a filter depends on it."""
+    """Holds the agent's task, observations and rewards; a filter's guarantee does not depend on them."""
 
     num_points: int = setting(
         100, "points on the chief", above=0, most=100_000, note="Episode (Sec. RL Environment)"
@@ -245,7 +245,7 @@ class Episode(Settings):
 
 @dataclass(frozen=True)
 class InspectionParameters(Episode, Limits):
-    """Constants of dynamics, limits, chief, episode and reward; values are the paper's unless marked."""
+    """Holds the constants of dynamics, limits, chief, episode and reward; values are the paper's unless marked."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -258,7 +258,7 @@ class InspectionParameters(Episode, Limits):
 
 @dataclass(frozen=True)
 class ChiefParameters(Settings):
-    """What is inspected, and how it turns; by default the paper's sphere, fixed in Hill's frame."""
+    """Describes what is inspected, and how it turns; by default the paper's sphere, fixed in Hill's frame."""
 
     mesh: str = setting(
         "",
@@ -310,15 +310,15 @@ class ChiefParameters(Settings):
 
     @property
     def is_the_papers(self) -> bool:
-        """Whether it is the sphere, fixed in Hill's frame."""
+        """Checks whether the chief is the sphere, fixed in Hill's frame."""
         return self == ChiefParameters()
 
     @property
     def is_drawn(self) -> bool:
-        """Whether episodes differ in it."""
+        """Checks whether the chief differs between episodes."""
         return self.random_attitude or self.largest_rate > 0.0
 
     @property
     def turns(self) -> bool:
-        """Whether its attitude changes over time."""
+        """Checks whether the chief's attitude changes over time."""
         return any(self.rate) or self.largest_rate > 0.0

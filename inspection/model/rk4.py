@@ -8,7 +8,7 @@ from torch import Tensor
 def rk4_step(
     rate: Callable[[list[Tensor]], Sequence[Tensor]], start: Sequence[Tensor], seconds: Tensor | float
 ) -> list[Tensor]:
-    """The components of y so many s after those at the start; `rate` maps components of y to those of dy/dt."""
+    """Returns the components of y `seconds` s after `start`; `rate` maps components of y to those of dy/dt."""
 
     def after(time: Tensor | float, slope: Sequence[Tensor]) -> list[Tensor]:
         return [y_i + time * slope_i for y_i, slope_i in zip(start, slope, strict=True)]

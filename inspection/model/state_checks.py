@@ -1,4 +1,4 @@
-"""Tells which states a spacecraft can be in, and warns of those that are probably in other units or another order."""
+"""Checks which states a spacecraft can be in, and warns of states that are probably in other units or another order."""
 
 import torch
 from torch import Tensor
@@ -7,22 +7,22 @@ from inspection.model.attitude import norm
 from inspection.model.parameters import Limits
 from inspection.model.state import E, Q, T
 
-LARGEST = 1e6  # of any number in a state, in its unit
-OFF_UNIT = 1e-4  # by which a quaternion's length may be off 1, as that of an estimate in float32 may
-HOT = 150.0  # deg C above the limit: less than what 273 K make of a surface that keeps it
-RICH = 200.0  # times what a battery begins with at most; J in place of kJ are a thousand times as many
+LARGEST = 1e6  # largest number in a state, in its unit
+OFF_UNIT = 1e-4  # how far a quaternion's length may be from 1, as for an estimate in float32
+HOT = 150.0  # deg C above the limit: a surface within its limit, given in K, is 273 too warm
+RICH = 200.0  # times the largest initial energy: J in place of kJ are a factor of 1000
 
 
 def is_state(x: Tensor, c: Limits) -> Tensor:
-    """Tells which states (16, B) a spacecraft can be in, (B,) bool.
+    """Checks which states (16, B) a spacecraft can be in, (B,) bool.
 
-    Numbers are finite, at most LARGEST in size, the quaternion is of unit length, and T above absolute zero.
+    All numbers are finite and at most LARGEST in size, the quaternion has unit length, and T is above absolute zero.
     """
     return (x.abs() <= LARGEST).all(0) & (state_room(x, c) > 0.0).all(0)
 
 
 def state_room(x: Tensor, c: Limits) -> Tensor:
-    """Returns (2, B), positive where q is of unit length, and T in deg C above absolute zero."""
+    """Returns (2, B), positive where q has unit length, and T in deg C above absolute zero."""
     return torch.stack((OFF_UNIT - (norm(x[Q]) - 1.0).abs(), x[T] + c.zero_celsius))
 
 

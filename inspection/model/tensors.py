@@ -1,4 +1,4 @@
-"""What the model's functions take: tensors, and nothing that only looks like them."""
+"""The check that arguments of the model's functions are tensors, not arrays, lists or numbers."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ OTHERS = (np.ndarray, np.generic, list, tuple, int, float)
 def check_tensors(**given: Any) -> None:
     """Raises TypeError, naming the argument, for a NumPy array, a list or a number in place of a tensor.
 
-    Whatever else stands for a tensor may pass: functions are recorded and differentiated with such.
+    Other objects that stand for a tensor may pass, because functions are recorded and differentiated with such objects.
     """
     for name, part in given.items():
         if isinstance(part, OTHERS):

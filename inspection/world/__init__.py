@@ -1,1 +1,1 @@
-"""The worlds that are flown in: the plant, which may differ from the model, and Basilisk."""
+"""The plants: the plant that may differ from the model, and Basilisk."""

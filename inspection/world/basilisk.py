@@ -1,7 +1,7 @@
 """Basilisk as the plant: chief and deputy on true orbits, in the simulator of the University of Colorado (bsk).
 
-Our state goes in and comes back, see `docs/guides/basilisk.md`. Basilisk integrates position, velocity, attitude and
-body rates; temperature, energy and the Sun's angle follow from where it takes them.
+Our state is converted to Basilisk's and back, see `docs/guides/basilisk.md`. Basilisk integrates position, velocity,
+attitude and body rates; temperature, energy and the Sun's angle follow from these.
 """
 
 import math
@@ -21,23 +21,24 @@ from inspection.world.parameters import PlantParameters
 from inspection.world.plant import Plant
 
 EARTH_MU, EARTH_RADIUS, EARTH_J2 = 3.986004418e14, 6378136.3, 1.08262668e-3  # m^3/s^2, m, no unit: EGM96
-INCLINATION = math.radians(51.6)  # of the chief's orbit, which J2 depends on; the node is where the Sun is
+INCLINATION = math.radians(51.6)  # of the chief's orbit, for J2; the node is in the Sun's direction
 
-# The air at 800 km (Vallado 2013, Table 8-4): density in kg/m^3, and height in m by which it falls by e
+# The air at 800 km (Vallado 2013, Table 8-4): density in kg/m^3, height in m, and m over which density falls by e
 AIR, AIR_BASE, AIR_SCALE = 1.17e-14, 800e3, 124.64e3
 DRAG_COEFFICIENT = 2.2
 CHIEF_AREA_PER_MASS = 0.01  # m^2/kg, typical of a satellite
 DEPUTY_AREA = 0.06  # m^2, the long side of a 6U
 
 RESOURCES = slice(T, E + 1)
-PULSE = 0.02  # s, of which the time that a thruster is open is a multiple
-# Of such a step by which it closes earlier, as at its very end rounding would decide, and which RK4 then leaves out.
+PULSE = 0.02  # s; a thruster is open for a multiple of this time
+# END: share of a pulse step by which a thruster closes early, because at the very end of a step rounding would decide.
+# LOST: share of a step that RK4 then leaves out.
 END, LOST = 0.25, 1 / 6
-NOBODY = 1e9  # of specific impulse in s: thrusters take no mass away, as in the model
+NOBODY = 1e9  # s, specific impulse so large that thrusters use no mass, as in the model
 
 
 class Spacecraft(NamedTuple):
-    """A spacecraft of Basilisk's and what of it is set and read: its four states, and what acts on it."""
+    """Holds a spacecraft of Basilisk, the places of its four states, and the objects by which it is acted on."""
 
     body: Any
     states: tuple[Any, ...]
@@ -48,10 +49,10 @@ class Spacecraft(NamedTuple):
 
 
 class Simulation:
-    """So many deputies, each with its chief, in one simulation of Basilisk.
+    """Simulates a batch of deputies, each with its chief, in one simulation of Basilisk.
 
     Args:
-        dt: s, of its RK4.
+        dt: s, step of its RK4.
     """
 
     def __init__(self, batch: int, dt: float, parameters: PlantParameters, c: Limits) -> None:
@@ -69,7 +70,7 @@ class Simulation:
         self.chiefs, self.deputies = found[::2], found[1::2]
 
     def earth(self) -> Any:
-        """A point mass, or one that is flattened; Basilisk would download a file for the latter."""
+        """Returns the Earth as a point mass, or flattened without the file that Basilisk would download."""
         from Basilisk.simulation import gravityEffector
 
         earth = gravityEffector.GravBodyData()
@@ -87,7 +88,7 @@ class Simulation:
         return earth
 
     def spacecraft(self, name: str, i: int, earth: Any) -> tuple[Any, dict[str, Any]]:
-        """A spacecraft that forces act on, the deputy's also by wheels and thrusters where these are asked for."""
+        """Returns a spacecraft that forces act on, the deputy also with wheels and thrusters if the settings ask so."""
         from Basilisk.simulation import extForceTorque, spacecraft
 
         body = spacecraft.Spacecraft()
@@ -100,13 +101,13 @@ class Simulation:
         parts: dict[str, Any] = {"push": push}
         if name == "deputy" and self.parameters.actuators == "real":
             parts |= self.actuators(i, body)
-        # what is commanded before a step acts in it: Basilisk updates the effectors first
+        # a command before a step acts in this step, because Basilisk updates the effectors first
         self.sim.AddModelToTask("task", body, 10)
         self.sim.AddModelToTask("task", push, 20)
         return body, parts
 
     def actuators(self, i: int, body: Any) -> dict[str, Any]:
-        """A wheel and two thrusters along each body axis, through the centre of mass, and how to command them."""
+        """Returns a wheel and two thrusters along each body axis, through the centre of mass, with their commands."""
         from Basilisk.architecture import messaging
         from Basilisk.simulation import reactionWheelStateEffector, thrusterDynamicEffector
         from Basilisk.utilities import simIncludeRW, simIncludeThruster
@@ -151,7 +152,7 @@ class Simulation:
         return {"effector": wheels, "wheel_command": torque, "thruster_command": open_for}
 
     def breathe(self, bodies: list[Any]) -> None:
-        """Air for chiefs and deputies, in turns, where drag is asked for."""
+        """Adds air for chiefs and deputies, in turns, if drag is asked for."""
         if not self.parameters.drag:
             return
         from Basilisk.simulation import dragDynamicEffector, exponentialAtmosphere
@@ -172,7 +173,7 @@ class Simulation:
 
     @staticmethod
     def found(body: Any, parts: dict[str, Any]) -> Spacecraft:
-        """A spacecraft with the places where its states are kept, which are there after the initialisation."""
+        """Returns a spacecraft with the places of its states, which exist only after the initialisation."""
         hub, manager = body.hub, body.dynManager
         names = hub.nameOfHubPosition, hub.nameOfHubVelocity, hub.nameOfHubSigma, hub.nameOfHubOmega
         effector = parts.pop("effector", None)
@@ -181,16 +182,16 @@ class Simulation:
         return Spacecraft(body, tuple(manager.getStateObject(name) for name in names), **parts)
 
     def put(self, spacecraft: Spacecraft, *states: ndarray) -> None:
-        """Position and velocity in m and m/s in the inertial frame, modified Rodrigues parameters, rates in rad/s."""
+        """Sets position m and velocity m/s in the inertial frame, modified Rodrigues parameters, and rates rad/s."""
         for place, value in zip(spacecraft.states, states, strict=True):
             place.setState(value[:, None].tolist())
 
     def get(self, spacecraft: Spacecraft) -> list[ndarray]:
-        """What `put` takes."""
+        """Returns what `put` sets."""
         return [np.ravel(place.getState()) for place in spacecraft.states]
 
     def act(self, i: int, u: ndarray, push: ndarray, body: ndarray, seconds: float) -> None:
-        """Has a control (6,) act for some s, and an inertial force in N, on a deputy of mass and moments (4,)."""
+        """Applies a control (6,) for some s and an inertial force in N to a deputy of mass and moments (4,)."""
         deputy = self.deputies[i]
         deputy.body.hub.mHub, deputy.body.hub.IHubPntBc_B = float(body[0]), np.diag(body[1:]).tolist()
         deputy.push.extForce_N = push[:, None].tolist()
@@ -202,30 +203,30 @@ class Simulation:
         from Basilisk.architecture import messaging
 
         command = messaging.ArrayMotorTorqueMsgPayload()
-        command.motorTorque = (-u[TORQUE]).tolist()  # on the wheel; the body has the reaction
+        command.motorTorque = (-u[TORQUE]).tolist()  # acts on the wheel; the reaction acts on the body
         deputy.wheel_command.write(command, self.now)
-        steps = counted(u[THRUST], seconds, self.c)  # again with what is LOST
+        steps = counted(u[THRUST], seconds, self.c)  # restores the part that is LOST
         pulses = PULSE * np.sign(steps) * (np.abs(steps) - END).clip(0.0)
         command = messaging.THRArrayOnTimeCmdMsgPayload()
         command.OnTimeRequest = np.stack((pulses, -pulses), 1).clip(0.0).ravel().tolist()
         deputy.thruster_command.write(command, self.now)
 
     def run(self, seconds: float) -> None:
-        """Lets time pass; `ExecuteSimulation` would look for events and draw a bar, of which there are none."""
+        """Lets time pass; `ExecuteSimulation` would also look for events and draw a progress bar."""
         self.now += self.nanoseconds(seconds)
         self.sim.TotalSim.StepUntilStop(self.now, -1)
 
 
 class BasiliskPlant(Plant):
-    """A `Plant` whose bodies Basilisk moves.
+    """Flies a `Plant` whose bodies Basilisk moves.
 
     Attributes:
-        chief: (6, B) the chiefs' positions and velocities in an inertial frame, which perturbations change, too.
+        chief: (6, B) the chiefs' positions and velocities in an inertial frame; perturbations change them, too.
         wheels: (3, B) rad/s, of the reaction wheels relative to the body.
-        rates: (2, B) of temperature and energy where the states are.
+        rates: (2, B) of temperature and energy at the present states.
 
-    `integrate` moves these on with the states; `state_dict` has them. Within a step the states are read by our
-    equations, without perturbations, wheels and pulses, from where Basilisk left them: see `Plant.read`.
+    `integrate` moves these three on with the states, and `state_dict` contains them. A state within a step is computed
+    by our equations from the last state of Basilisk, without perturbations, wheels and pulses: see `Plant.read`.
 
     Raises:
         ImportError: Basilisk is not installed; ValueError: the parameters do not fit the model or the Earth.
@@ -246,24 +247,24 @@ class BasiliskPlant(Plant):
         self.chief = torch.zeros(6, batch, dtype=torch.float64, device=device)
         self.wheels = torch.zeros(3, batch, dtype=torch.float64, device=device)
         self.rates = torch.zeros(2, batch, dtype=torch.float64, device=device)
-        self.frame: tuple[Tensor, Hill] | None = None  # of the chiefs of then
+        self.frame: tuple[Tensor, Hill] | None = None  # the chiefs and their Hill frames after the last step
         import Basilisk.simulation  # noqa: F401
 
     def begin(self, columns: Tensor, x: Tensor, number: Tensor | None) -> None:
-        """As `Plant.begin`; the chief is where the Sun's angle has it on its orbit."""
+        """Begins episodes as `Plant.begin`; the chief's place on its orbit follows from the Sun's angle."""
         super().begin(columns, x, number)
         self.wheels[:, columns] = 0.0
         self.rates[:, columns] = torch.stack(resource_rates(x, self.c))
-        self.frame = None  # the chiefs below are new in the same tensor
+        self.frame = None  # the next line changes the chiefs in the same tensor
         self.chief[:, columns] = x.new_tensor(chief_in_space(x[THETA_S], self.c))
 
     @cached_property
     def simulation(self) -> Simulation:
-        """Made at the first step, of the length of that."""
+        """Returns the simulation, made at the first step and for the length of this step."""
         return Simulation(self.key.numel(), self.dt, self.parameters, self.c)
 
     def actuate(self, time: Tensor, u: Tensor) -> Tensor:
-        """As `Plant.actuate`; of pulses the mean over the time that a control is held."""
+        """Returns what acts, as `Plant.actuate`; for pulses the mean over a hold of the control."""
         acting = super().actuate(time, u)
         if self.parameters.actuators == "ideal":
             return acting
@@ -272,17 +273,21 @@ class BasiliskPlant(Plant):
         return torch.cat((self.c.max_thrust * seconds / self.acts_for, acting[TORQUE]))
 
     def integrate(self, x: Tensor, u: Tensor, body: Tensor, duration: float, times: int = 1) -> Tensor:
-        """The states (16, B) after so many steps of `duration` s under what acts, (6, B), of bodies (7, B)."""
+        """Returns the states (16, B) after `times` steps of `duration` s.
+
+        Args:
+            x: states (16, B); u: acting controls (6, B); body: the bodies (7, B).
+        """
         real = self.parameters.actuators == "real"
         self.dt = PULSE if real else duration
-        if real:  # pulses are of the whole time
+        if real:  # pulses are counted over the whole time
             return self.step(x, u, body, duration * times)
         for _ in range(times):
             x = self.step(x, u, body, duration)
         return x
 
     def step(self, x: Tensor, u: Tensor, body: Tensor, seconds: float) -> Tensor:
-        """The states after some s; the body rates saturate where the plant has them do so."""
+        """Returns the states after some s; the body rates saturate if model and plant have them do so."""
         simulation = self.simulation
         before, chief, known = x.cpu().numpy(), self.chief.cpu().numpy(), self.frame
         bodies, controls, wheels = (part.cpu().numpy() for part in (body, u, self.wheels))
@@ -307,7 +312,7 @@ class BasiliskPlant(Plant):
         after[THETA_S] = x[THETA_S] - x.new_tensor(earlier.angle_to(frame))
         if self.c.saturate_rates and self.parameters.saturate_rates:
             after[OMEGA] = after[OMEGA].clamp(-self.c.max_rate, self.c.max_rate)
-        # Heun's rule, by the attitudes that Basilisk gives
+        # Heun's method, with Basilisk's attitudes
         first = self.rates
         after[RESOURCES] = x[RESOURCES] + seconds * first
         self.rates = torch.stack(resource_rates(after, self.c))
@@ -322,26 +327,26 @@ class BasiliskPlant(Plant):
 
 
 def counted(thrust: Any, seconds: float, c: Limits) -> Any:
-    """How many pulses give a mean thrust in N, a tensor or an array, over some s; negative towards the other side."""
+    """Returns how many pulses give a mean thrust in N, tensor or array, over some s; negative: the opposite side."""
     return (thrust / c.max_thrust * seconds / PULSE).round()
 
 
 class Hill(NamedTuple):
-    """Hill's frames of k chiefs: their states (6, k), axes in the inertial frame, and their rates in rad/s, (3, k)."""
+    """Holds Hill's frames of k chiefs: states (6, k), axes in the inertial frame, and their rates in rad/s, (3, k)."""
 
     chief: ndarray
     axes: Rotation
     turning: ndarray
 
     def outwards(self, x: ndarray) -> tuple[ndarray, ...]:
-        """Position, velocity, modified Rodrigues parameters and rates (k, 3) in the inertial frame, of (16, k)."""
+        """Returns position, velocity, modified Rodrigues parameters, rates (k, 3) in the inertial frame."""
         attitude = self.axes * Rotation.from_quat(x[Q].T)
         r = self.chief[:3].T + self.axes.apply(x[P].T)
         v = self.chief[3:].T + self.axes.apply((x[V] + crossed(self.turning, x[P])).T)
         return r, v, attitude.as_mrp(), x[OMEGA].T
 
     def inwards(self, r: ndarray, v: ndarray, mrp: ndarray, omega: ndarray) -> ndarray:
-        """The first 13 components of our state, (13, k), the rates relative to the stars; the reverse of `outwards`."""
+        """Returns the first 13 components of our state, (13, k), rates relative to the stars; inverts `outwards`."""
         back = self.axes.inv()
         p = back.apply(r - self.chief[:3].T).T
         relative = back.apply(v - self.chief[3:].T).T - crossed(self.turning, p)
@@ -349,19 +354,19 @@ class Hill(NamedTuple):
         return np.concatenate((p, relative, q.T, omega.T))
 
     def angle_to(self, later: "Hill") -> ndarray:
-        """rad, by which the radial direction has moved on along the orbit until later frames, (k,)."""
+        """Returns in rad by how much the radial direction has moved along the orbit until later frames, (k,)."""
         x, y, _ = self.axes.inv().apply(later.chief[:3].T).T
         return np.arctan2(y, x)
 
 
 def hill(chief: ndarray, flattening: float = 0.0) -> Hill:
-    """From positions and velocities (6, k): x away from the Earth, z along the angular momentum.
+    """Returns Hill's frames for positions and velocities (6, k): x away from the Earth, z along the angular momentum.
 
-    It turns about z by h / r^2, and about x by r a / h, where a acts across the orbit's plane (Casotto 2016).
+    The frame turns about z at h / r^2, and about x at r a / h, where a acts across the orbit's plane (Casotto 2016).
 
     Args:
-        flattening: J2 mu R^2 in m^5/s^2, of which a is -3 J2 mu R^2 z / r^5 along the Earth's axis (Vallado 2013, Eq.
-            8-27; what is left of it there lies in the plane).
+        flattening: J2 mu R^2 in m^5/s^2. Along the Earth's axis a is -3 J2 mu R^2 z / r^5 (Vallado 2013, Eq. 8-27); the
+            other terms of that equation lie in the orbit's plane.
     """
     r, v = chief[:3], chief[3:]
     momentum = crossed(r, v)
@@ -374,7 +379,7 @@ def hill(chief: ndarray, flattening: float = 0.0) -> Hill:
 
 
 def crossed(a: ndarray, b: ndarray) -> ndarray:
-    """a x b of (3, k) each; NumPy's takes ten times as long for one."""
+    """Returns a x b of (3, k) each; NumPy's takes ten times as long for a single vector."""
     return np.stack((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
 
 
@@ -384,10 +389,10 @@ def orbit_radius(c: Limits) -> float:
 
 
 def chief_in_space(theta_s: Tensor, c: Limits) -> ndarray:
-    """The chief's position and velocity (6, k) where the Sun's angle (k,) has it: the Sun is along the inertial x."""
+    """Returns the chief's position and velocity (6, k) by the Sun's angle (k,); the Sun is along the inertial x."""
     radius = np.full(len(theta_s), orbit_radius(c))
     zero = 0.0 * radius
     angles = np.stack((-theta_s.cpu().numpy(), np.full_like(zero, INCLINATION)), 1)
-    axes = Rotation.from_euler("zx", angles)  # first along the orbit, then with its plane
+    axes = Rotation.from_euler("zx", angles)  # turns along the orbit first, then by the inclination
     r = axes.apply(np.stack((radius, zero, zero), 1))
     return np.concatenate((r, axes.apply(np.stack((zero, radius * c.mean_motion, zero), 1))), 1).T

@@ -1,8 +1,8 @@
-"""Vertices of the error box: who says, call by call, at which end of its bounds each error is.
+"""Corners of the error box: who decides, call by call, at which end of its bounds each error is.
 
-A corner is a vertex of the box of all errors, (19, B) bool: which of the sensors' errors along the 12 axes of position,
-velocity, attitude and rate are positive, which gains of the six actuators are at their upper end, and last, whether the
-call is missed.
+A corner is a vertex of the box of all errors, (19, B) bool. In this order it says which of the sensors' errors along
+the 12 axes of position, velocity, attitude and rate are positive, which gains of the six actuators are at their upper
+end, and whether the call is missed.
 """
 
 from typing import Protocol
@@ -16,64 +16,67 @@ from inspection.model.state import OMEGA, SIZE, P, Q, V
 
 CORNER, ERRORS, GAINS, MISSED = 19, slice(0, 12), slice(12, 18), 18
 ENDS = GAINS.stop
-LONGEST_END = 60.0  # s that chance leaves an error at one end; as long as the random policy holds an action
-BEFORE = -1  # the time in ms of numbers that an episode draws at its beginning
-FIRST = 48  # of these numbers for corners; those before are of `inspection.world.plant.sample_plant`
-FIRST_NOW = 13  # of the numbers of a moment; those before are of noise and missed calls
+LONGEST_END = 60.0  # s, the longest that a drawn error stays at one end; as an action of the random policy
+BEFORE = -1  # the time in ms that stands for the numbers an episode draws at its beginning
+FIRST = 48  # first of these numbers for corners; `inspection.world.plant.sample_plant` uses those before
+FIRST_NOW = 13  # first number of a moment for corners; noise and missed calls use those before
 
 
 class Adversary(Protocol):
-    """Who chooses the corners of a world whose errors are worst, and knows the truth.
+    """Chooses the corners of a plant whose errors are "worst", and knows the true state.
 
     Times (B,) are those of the episodes, in s; states x (16, B) are true.
     """
 
     def errors(self, time: Tensor, x: Tensor) -> Tensor:
-        """(12, B) bool: which errors are positive in the measurement of x."""
+        """Returns which errors are positive in the measurement of x, (12, B) bool."""
         ...
 
     def response(self, time: Tensor, x: Tensor, u: Tensor, held: Tensor) -> Tensor:
-        """(7, B) bool: the gains, and whether the call is missed, once u (6, B) is the answer.
+        """Returns the gains and whether the call is missed, (7, B) bool, once the answer u (6, B) is known.
 
         Args:
-            held: (6, B) what acts if it is missed: the last control, and u where the world cannot miss the call.
+            held: (6, B) acts if the call is missed: the last control, or u if the call cannot be missed.
         """
         ...
 
 
 class Recorded:
-    """An `Adversary` that repeats corners (calls, 19, B), the first of them at `start` s, one every so many s."""
+    """Repeats corners (calls, 19, B) as an `Adversary`: the first at `start` s, then one every `every` s."""
 
     def __init__(self, corners: Tensor, every: float, start: float = 0.0) -> None:
         self.corners, self.every, self.start = corners, every, start
 
     def _now(self, time: Tensor) -> Tensor:
-        # the one that has begun: calls may come between
+        # the corner that has begun, since calls may come between two corners
         return self.corners[int((time[0].item() - self.start) / self.every + 1e-6)]
 
     def errors(self, time: Tensor, x: Tensor) -> Tensor:
-        """See `Adversary`."""
+        """Returns which errors are positive, see `Adversary`."""
         return self._now(time)[ERRORS]
 
     def response(self, time: Tensor, x: Tensor, u: Tensor, held: Tensor) -> Tensor:
-        """See `Adversary`."""
+        """Returns the gains and whether the call is missed, see `Adversary`."""
         return self._now(time)[GAINS.start :]
 
 
 def held_ends(key: Tensor) -> Tensor:
-    """(18, k) bool: a corner for the whole episode, by the episodes' keys (k,)."""
+    """Returns a corner (18, k) bool for the whole episode, by the episodes' keys (k,)."""
     return counter_based_uniform(key, torch.full_like(key, BEFORE), ENDS, FIRST) < 0.5
 
 
 def wandering_ends(key: Tensor, time: Tensor) -> Tensor:
-    """(18, k) bool: a corner at times (k,) in s, each end drawn anew after a time of its own of up to LONGEST_END."""
+    """Returns a corner (18, k) bool at times (k,) in s.
+
+    Each end is drawn anew after a time of its own of up to LONGEST_END.
+    """
     lasting, phase = counter_based_uniform(key, torch.full_like(key, BEFORE), 2 * ENDS, FIRST).chunk(2)
     turn = (time / (LONGEST_END * lasting) + phase).floor().long()
     return counter_based_uniform(key, turn, ENDS, FIRST_NOW) < 0.5
 
 
 def displaced(x: Tensor, error: Tensor) -> Tensor:
-    """States (16, ...) that are off by errors (12, ...): m, m/s, a rotation vector in the body frame in rad, rad/s."""
+    """Returns states (16, ...) off by errors (12, ...): m, m/s, a rotation vector in the body frame in rad, rad/s."""
     return torch.cat(
         (
             x[P] + error[0:3],

@@ -1,4 +1,4 @@
-"""What a world may differ in from the model: the table `[plant]`."""
+"""Differences between a plant and the model: the table `[plant]`."""
 
 from dataclasses import dataclass, fields
 
@@ -10,19 +10,19 @@ Range = float | tuple[float, float]
 Count = int | tuple[int, int]
 
 SIMULATORS, ACTUATORS = ("own", "basilisk"), ("ideal", "real")
-OF_BASILISK = {"j2": False, "drag": False, "actuators": "ideal"}  # what no other simulator has
-NOT_OF_PULSES = {"thrust_gain": 1.0, "thrust_misalignment": 0.0}  # which are at full thrust along the axes
+OF_BASILISK = {"j2": False, "drag": False, "actuators": "ideal"}  # only Basilisk has these
+NOT_OF_PULSES = {"thrust_gain": 1.0, "thrust_misalignment": 0.0}  # pulses have full thrust along the axes
 HOW = ("drawn", "steady", "worst")
 FAILING = ("none", "thrust", "torque", "any", *CONTROLS)
-# What has no effect of its own.
+# These settings have no effect of their own.
 DETAILS = {"errors", "noise_bound", "missed_in_a_row", "failing_from", "failing_strength"}
 
 
 @dataclass(frozen=True)
 class PlantParameters(Settings):
-    """What differs from the model; by default nothing does.
+    """Holds the differences of the plant from the model; by default there are none.
 
-    A value, or a range [low, high] from which each episode draws its own, constant over the episode.
+    A setting is a value, or a range [low, high] from which each episode draws its own value, constant over the episode.
     """
 
     simulator: str = setting(
@@ -85,7 +85,7 @@ class PlantParameters(Settings):
     missed_in_a_row: int = setting(1000, "calls, at most so many", above=0)
 
     def check_simulator(self) -> None:
-        """Raises ValueError where something is asked for that the simulator does not have."""
+        """Raises ValueError if a setting is used that the simulator does not have."""
         for name, default in OF_BASILISK.items():
             if self.simulator != "basilisk" and getattr(self, name) != default:
                 raise ValueError(f'{name}: needs --plant basilisk (simulator = "basilisk")')
@@ -97,11 +97,11 @@ class PlantParameters(Settings):
 
     @property
     def is_nominal(self) -> bool:
-        """Whether the plant is the model."""
+        """Checks whether the plant is the model."""
         return all(getattr(self, f.name) == f.default for f in fields(self) if f.name not in DETAILS)
 
     def check_body(self, c: Limits) -> None:
-        """Raises ValueError where moments of inertia could be drawn that no body has."""
+        """Raises ValueError if moments of inertia could be drawn that no body has."""
         low, high = bounds(self.inertia_factor)
         if low < high and max(c.inertia) * (high + low) > sum(c.inertia) * low * (1 + 1e-9):
             raise ValueError(
@@ -111,5 +111,5 @@ class PlantParameters(Settings):
 
 
 def bounds(value: Range) -> tuple[float, float]:
-    """Low and high of a value or a range."""
+    """Returns low and high of a value or a range."""
     return value if isinstance(value, tuple) else (value, value)

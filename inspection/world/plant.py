@@ -1,8 +1,8 @@
-"""The world: what the plant, its actuators, its sensors and its computer do that the filter is not told.
+"""The plant: what body, actuators, sensors and computer do that the filter is not told.
 
-`PlantParameters` says what there is, `Plant` is what was drawn of it for each episode of a batch. Everything random
-follows from one number per episode, drawn like its initial state, and from the episode's time: by a hash, so that an
-episode is the same whatever flies beside it, and resumed where it stopped.
+`PlantParameters` describes the possible differences from the model. `Plant` holds what was drawn for each episode of a
+batch. Everything random follows, by a hash, from one number per episode, drawn like its initial state, and from the
+episode's time. So an episode does not depend on the others in its batch, and it resumes where it stopped.
 """
 
 import math
@@ -34,14 +34,14 @@ from inspection.world.parameters import PlantParameters, Range, bounds
 
 
 class PlantSample(NamedTuple):
-    """What an episode's plant is; last axis the episodes, k.
+    """Describes the plants of episodes; the last axis is the episodes, k.
 
     Attributes:
         body: (7, k) mass in kg, moments of inertia in kg m^2, acceleration in Hill's frame in m/s^2.
-        thrust: (3, 3, k) from what the thrusters of each axis give to what acts, without unit; torque: (3, k). At a
-            corner, without the gains, which are the corner's.
+        thrust: (3, 3, k) from the thrust of each axis to the acting thrust, without unit; torque: (3, k). At a corner
+            both are without the gains, which are the corner's.
         minimum, quantum: (k,) N.
-        fails: (6, k) bool; fails_from: (k,) s; strength: (k,) that is left.
+        fails: (6, k) bool; fails_from: (k,) s; strength: (k,) share that is left.
         noise: (12, k) 1 sigma of position, velocity, attitude, rates in m, m/s, rad, rad/s; bias: (12, k). At a
             corner there is no noise, and the bias is the size of the error of each axis, bias + noise_bound sigma.
         latency: (k,) calls; misses: (k,) probability.
@@ -62,9 +62,10 @@ class PlantSample(NamedTuple):
 
 
 def sample_plant(parameters: PlantParameters, c: Limits, key: Tensor) -> PlantSample:
-    """What follows from the episodes' keys (k,), each quantity from numbers of its own whatever else is set.
+    """Returns the plants that follow from the episodes' keys (k,).
 
-    At a corner a factor is one end of its range, and a size the largest.
+    Each quantity has numbers of its own, whatever else is set. At a corner a factor is one end of its range, and a size
+    is the largest of its range.
     """
     rows = iter(counter_based_uniform(key, torch.full_like(key, BEFORE), FIRST))
     at_corner = parameters.errors != "drawn"
@@ -137,19 +138,19 @@ def sample_plant(parameters: PlantParameters, c: Limits, key: Tensor) -> PlantSa
 
 
 class Plant(Fixed):
-    """The plants of a batch of episodes, and what stands between them and the controls and the states that are seen.
+    """Holds the plants of a batch of episodes, with their actuators, sensors and computers.
 
     Args:
-        parameters: what may differ from the model; c: the model.
+        parameters: the differences from the model; c: the model.
         batch: episodes, B.
 
     Attributes:
-        every, acts_for: s between two calls and of a step of the plant, set by whose clocks they are.
-        drawn: what each episode's plant is; corner: (19, B) bool, where it is now, see `inspection.world.corners`.
-        adversary: who chooses the corner where errors are worst; None: chance.
+        every: s between two calls; acts_for: s of a step of the plant. The owner of the clocks sets both.
+        drawn: what each episode's plant is; corner: (19, B) bool, the present corner, see `inspection.world.corners`.
+        adversary: chooses the corner if `errors` is "worst"; None: chance does.
         held: (6, B) the last control that a call gave; missed: (B,) calls missed since.
-        past: (latency, 6, B) what was held from the last calls on, the oldest first.
-        true, seen: (16, B) the states last sensed, and what they were taken for.
+        past: (latency, 6, B) the controls held from the last calls on, the oldest first.
+        true, seen: (16, B) the states last sensed, and their measurements.
 
     Raises:
         ValueError: the parameters do not fit the model.
@@ -157,7 +158,7 @@ class Plant(Fixed):
 
     FIXED = ("parameters", "c")
     STATE: tuple[str, ...] = ("key", "held", "missed", "history", "past")
-    is_recordable = True  # `integrate` is of operations that can be recorded
+    is_recordable = True  # all operations of `integrate` can be recorded
 
     def __init__(
         self,
@@ -182,7 +183,7 @@ class Plant(Fixed):
         gains = (bounds(each) for each in (parameters.thrust_gain, parameters.torque_gain) for _ in range(3))
         self.gains = self.held.new_tensor(list(gains))  # (6, 2) low and high
         self.drawn = sample_plant(parameters, c, self.key)
-        self.true = self.seen = self.held[:0]  # none yet
+        self.true = self.seen = self.held[:0]  # no state yet
         self.limit = self.held.new_tensor(c.control_limit)[:, None]
 
     def begin(self, columns: Tensor, x: Tensor, number: Tensor | None) -> None:
@@ -199,11 +200,11 @@ class Plant(Fixed):
         self.true = self.seen = self.held[:0]
 
     def state_dict(self) -> dict[str, Tensor]:
-        """What a resumed run needs; the rest follows from it."""
+        """Returns what a resumed run needs; the rest follows from it."""
         return {name: getattr(self, name).clone() for name in self.STATE}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Restores `state_dict`; raises KeyError or ValueError where it does not fit."""
+        """Restores `state_dict`; raises KeyError or ValueError if it does not fit."""
         for name in self.STATE:
             if getattr(self, name).shape != state[name].shape:
                 raise ValueError(f"plant {name} is {tuple(state[name].shape)}")
@@ -213,35 +214,39 @@ class Plant(Fixed):
 
     @property
     def turns(self) -> bool:
-        """Whether a state's body rates are relative to the stars, as a gyro's are."""
+        """Checks whether a state's body rates are relative to the stars, as a gyro's are."""
         return self.parameters.hill_rotation or self.parameters.simulator == "basilisk"
 
     @property
     def body(self) -> Tensor:
-        """(7, B) what `integrate` takes."""
+        """Returns the bodies (7, B) that `integrate` takes."""
         return self.drawn.body
 
     @property
     def mass(self) -> Tensor:
-        """(B,) kg."""
+        """Returns the masses (B,) in kg."""
         return self.drawn.body[0]
 
     def integrate(self, x: Tensor, u: Tensor, body: Tensor, duration: float, times: int = 1) -> Tensor:
-        """The states (16, B) after so many steps of `duration` s under what acts, (6, B), of bodies (7, B)."""
+        """Returns the states (16, B) after `times` steps of `duration` s.
+
+        Args:
+            x: states (16, B); u: acting controls (6, B); body: the bodies (7, B).
+        """
         return integrate(x, u, duration, self.c, times, self._body(body))
 
     def read(self, x: Tensor, u: Tensor, body: Tensor, duration: Tensor) -> Tensor:
-        """The states (16, B) so many s (B,) after a step began; the arguments are those of `integrate`."""
+        """Returns the states (16, B) a duration in s (B,) after a step began; other arguments as in `integrate`."""
         return step(x, u, duration, self.c, self._body(body))
 
     def _body(self, body: Tensor) -> Body:
-        """A body (7, B) as the equations of motion take it."""
+        """Returns a body (7, B) as the equations of motion take it."""
         mass, *rest = body.unbind(0)
         saturates = self.c.saturate_rates and self.parameters.saturate_rates
         return Body(mass, rest[:3], rest[3:], self.turns or self.c.hill_rotation, saturates)
 
     def actuate(self, time: Tensor, u: Tensor) -> Tensor:
-        """What acts from a time of the episodes (B,) on where u (6, B) is commanded."""
+        """Returns what acts from the episodes' time (B,) in s on if u (6, B) is commanded."""
         drawn, p = self.drawn, self.parameters
         thrust = u[THRUST]
         if p.thrust_quantum != 0.0:
@@ -259,24 +264,24 @@ class Plant(Fixed):
         return torch.cat((thrust, drawn.torque * u[TORQUE]))
 
     def sense(self, time: Tensor, x: Tensor) -> Tensor:
-        """What states x (16, B) at a time of the episodes (B,) are taken for; the same whenever it is asked."""
+        """Returns the states seen for true states x (16, B) at the episodes' time (B,) in s; the same at every call."""
         if x is self.true:
             return self.seen
         seen = self._measure(time, x)
         if len(self.history) > 1:
             call, columns = (time / self.every).round().long(), torch.arange(x.shape[1], device=x.device)
             self.history[call % len(self.history), :, columns] = seen.T
-            past = (call - self.drawn.latency).clamp(min=0)  # before the second call nothing else is known
+            past = (call - self.drawn.latency).clamp(min=0)  # no state is older than the first call's
             seen = self.history[past % len(self.history), :, columns].T
         self.true, self.seen = x, seen
         return seen
 
     def true_state_of(self, x: Tensor) -> Tensor:
-        """The true states where x is what they were last taken for."""
+        """Returns the true states if x is their last measurement, else x."""
         return self.true if x is self.seen else x
 
     def _measure(self, time: Tensor, x: Tensor) -> Tensor:
-        """The states (16, B) with the sensors' errors, the rates relative to Hill's frame as the filter wants them."""
+        """Returns the states (16, B) with the sensors' errors, rates relative to the frame that the filter expects."""
         if self.at_corner:
             self.corner = torch.cat((self._ends(time, x), self.corner[MISSED:]))
             error = torch.where(self.corner[ERRORS], self.drawn.bias, -self.drawn.bias)
@@ -287,17 +292,18 @@ class Plant(Fixed):
             )
             error = self.drawn.bias + self.drawn.noise * noise
         seen = displaced(x, error)
-        if self.turns and not self.c.hill_rotation:  # which the model does not know
+        if self.turns and not self.c.hill_rotation:  # the model does not know that Hill's frame turns
             attitude = seen[Q]
-            if (
-                self.at_corner
-            ):  # the error of what is seen is at its bound, not beyond by that of the attitude
+            if self.at_corner:  # the attitude's error must not bring the error of the rates beyond its bound
                 attitude = x[Q]
             seen[OMEGA] = torch.stack(rate_in_hill(attitude, seen[OMEGA], self.c.mean_motion))
         return seen
 
     def _ends(self, time: Tensor, x: Tensor) -> Tensor:
-        """(18, B) bool: the corner for a measurement of x; where an adversary answers the control, its gains follow."""
+        """Returns the corner (18, B) bool for a measurement of x.
+
+        An adversary chooses the gains later, with its response to the control.
+        """
         if not self.is_worst:
             return held_ends(self.key)
         if self.adversary is None:
@@ -305,9 +311,10 @@ class Plant(Fixed):
         return torch.cat((self.adversary.errors(time, x), self.corner[GAINS]))
 
     def hold(self, time: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        """What is held from a call on that wants u (6, B): that, or the last one where it is missed, (B,) bool.
+        """Returns the control held from a call on, and whether the call is missed, (B,) bool.
 
-        The first call of an episode is not, since there is no last one.
+        The held control is u (6, B), or the last one if the call is missed. The first call of an episode is never
+        missed, since there is no last control.
         """
         possible = (time > 0.0) & (self.missed < self.parameters.missed_in_a_row) & (self.drawn.misses > 0.0)
         if self.is_worst and self.adversary:
@@ -326,18 +333,18 @@ class Plant(Fixed):
         return self.held, missed
 
     def filter_inputs(self, time: Tensor) -> dict[str, Tensor]:
-        """The controls held since the state was measured, NaN where it is younger."""
+        """Returns the controls held since the state was measured, NaN for calls before its measurement."""
         age = self.drawn.latency.minimum((time / self.every).round().long())
-        last = torch.arange(len(self.past), 0, -1, device=age.device)[:, None]  # how many calls ago
+        last = torch.arange(len(self.past), 0, -1, device=age.device)[:, None]  # age of each control in calls
         sent = torch.where((last <= age)[:, None], self.past, torch.nan)
         return {"sent": sent}
 
     def left(self, time: Tensor) -> Tensor:
-        """(6, B) the share that each actuator gives of what it is told."""
+        """Returns the share (6, B) of the command that each actuator gives."""
         drawn = self.drawn
         return torch.where(drawn.fails & (time >= drawn.fails_from), drawn.strength, 1.0)
 
 
 def milliseconds(time: Tensor) -> Tensor:
-    """(B,) s as int64."""
+    """Returns (B,) s as int64 ms."""
     return (1000.0 * time).round().long()

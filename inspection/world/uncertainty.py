@@ -1,6 +1,6 @@
 """Bounds on the errors of model, measurement and actuators.
 
-The worst of them are taken all at once. All zero: the plant is the model.
+The worst of all errors are taken at once. If all bounds are zero, the plant is the model.
 """
 
 import math
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from inspection.model.parameters import Limits
 from settings import Settings, setting
 
-if TYPE_CHECKING:  # who asks for settings alone does not wait for PyTorch
+if TYPE_CHECKING:  # reading settings alone must not wait for the import of PyTorch
     from torch import Tensor
 
 LONGEST_HOLD = 10.0  # s
@@ -20,7 +20,7 @@ OLDEST = 10  # calls
 
 @dataclass(frozen=True)
 class Uncertainty(Settings):
-    """Largest differences between world and model; those of sensors are the largest error of each axis."""
+    """Holds the largest differences between plant and model; those of sensors are per axis."""
 
     mass: float = setting(0.0, "share, by which the true mass is more or less at most", below=1, note="Body")
     inertia: float = setting(0.0, "share, by which each moment of inertia is more or less at most", below=1)
@@ -63,25 +63,25 @@ class Uncertainty(Settings):
 
     @property
     def is_zero(self) -> bool:
-        """Whether every bound is zero: the plant is the model."""
+        """Checks whether every bound is zero, so that the plant is the model."""
         return self == Uncertainty()
 
     @property
     def said(self) -> str:
-        """The bounds that are not zero, by name."""
+        """Returns the bounds that are not zero, by name, as text."""
         default = Uncertainty()
         bounds = ((name, value) for name, value in vars(self).items() if value != getattr(default, name))
         return ", ".join(f"{name} = {value}" for name, value in bounds)
 
     @property
     def radii(self) -> tuple[float, ...]:
-        """m, m/s, rad and rad/s, of the balls around these."""
+        """Returns the radii of the balls around position, velocity, attitude and rate: m, m/s, rad and rad/s."""
         root = math.sqrt(3.0)
         angles = (math.radians(root * angle) for angle in (self.attitude, self.rate))
         return root * self.position, root * self.velocity, *angles
 
     def check(self, c: Limits, period: float) -> None:
-        """Raises ValueError where bounds do not fit the period or the thrusters."""
+        """Raises ValueError if bounds do not fit the period or the thrusters."""
         if 0 < self.longest_hold < period:
             raise ValueError(
                 f"longest_hold = {self.longest_hold:g}: must be at least the period, {period:g} s"
@@ -92,41 +92,44 @@ class Uncertainty(Settings):
             )
 
     def hold(self, period: float) -> float:
-        """s, the longest time that a control is held."""
+        """Returns the longest time in s that a control is held."""
         return max(period, self.longest_hold)
 
     @property
     def thrust(self) -> tuple[float, float]:
-        """Smallest and largest acceleration along an axis for that of the model: gain and alignment over mass."""
+        """Returns the smallest and largest acceleration along an axis as a factor of the model's.
+
+        Gain and alignment are in the numerator, mass in the denominator.
+        """
         least = (1 - self.thrust_gain) * math.cos(math.radians(self.thrust_misalignment)) / (1 + self.mass)
         return least, (1 + self.thrust_gain) / (1 - self.mass)
 
     @property
     def torque(self) -> tuple[float, float]:
-        """Smallest and largest angular acceleration of an axis for that of the model."""
+        """Returns the smallest and largest angular acceleration of an axis as a factor of the model's."""
         return (1 - self.torque_gain) / (1 + self.inertia), (1 + self.torque_gain) / (1 - self.inertia)
 
     @property
     def thrust_error(self) -> float:
-        """Largest share by which an acceleration along an axis is off."""
+        """Returns the largest share by which an acceleration along an axis is off."""
         least, most = self.thrust
         return max(1.0 - least, most - 1.0)
 
     @property
     def torque_error(self) -> float:
-        """Largest share by which an angular acceleration is off."""
+        """Returns the largest share by which an angular acceleration is off."""
         least, most = self.torque
         return max(1.0 - least, most - 1.0)
 
     def angular_acceleration(self, c: Limits) -> float:
-        """rad/s^2, the largest that the model does not know of within the limits of the rates.
+        """Returns the largest angular acceleration in rad/s^2 unknown to the model, within the limits of the rates.
 
-        The gyroscopic one of other moments of inertia, at the worst corner of their bounds, and where Hill's frame
-        turns by n, the rate of R^T (0, 0, n), n |omega|.
+        It is the gyroscopic one of other moments of inertia, at the worst corner of their bounds. Where Hill's frame
+        turns at n, n |omega| is added, from the rate of R^T (0, 0, n).
         """
         from inspection.model.dynamics import euler
 
-        at_most, worst = (c.max_rate,) * 3, [0.0] * 3  # plain numbers: the filter asks at every call
+        at_most, worst = (c.max_rate,) * 3, [0.0] * 3  # plain numbers, since the filter asks at every call
         nominal = euler(at_most, c.inertia)
         for factors in product((1 - self.inertia, 1 + self.inertia), repeat=3):
             moments = [moment * factor for moment, factor in zip(c.inertia, factors, strict=True)]
@@ -135,21 +138,21 @@ class Uncertainty(Settings):
         return math.hypot(*worst) + self.unknown_turning(c) * math.sqrt(3.0) * c.max_rate
 
     def unknown_turning(self, c: Limits) -> float:
-        """rad/s, of Hill's frame, where the model leaves it out."""
+        """Returns the rate in rad/s of Hill's frame, if the model leaves it out, else 0."""
         return c.mean_motion if self.hill_rotation and not c.hill_rotation else 0.0
 
     @property
     def is_quantised(self) -> bool:
-        """Whether thrusters give some values only."""
+        """Checks whether thrusters give some values only."""
         return self.minimum_thrust > 0.0 or self.thrust_quantum > 0.0
 
     def largest_thrust(self, limit: float) -> float:
-        """N, that thrusters give within their limit."""
+        """Returns the largest thrust in N that thrusters give within their limit."""
         quantum = self.thrust_quantum
         return quantum * math.floor(limit / quantum + 1e-9) if quantum else limit
 
     def rounding(self, limit: float) -> float:
-        """N, by which thrust within its limit is given otherwise along an axis at most."""
+        """Returns in N by how much the thrusters' rounding changes thrust along an axis at most, within its limit."""
         return max(self.minimum_thrust, self.thrust_quantum / 2, limit - self.largest_thrust(limit))
 
     def quantised(self, thrust: "Tensor", limit: float) -> "Tensor":

@@ -1,1 +1,1 @@
-"""What each operation of PyTorch is in C."""
+"""The C expressions of PyTorch's operations."""

@@ -1,4 +1,4 @@
-"""What PyTorch's operations do to arrays of scalar values: arithmetic is written out, views cost nothing."""
+"""PyTorch's operations on arrays of scalar values: arithmetic is written out, views cost nothing."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,15 +13,15 @@ from kernels.operations.shapes import Axes, Shapes, filled, objects
 
 
 class Operations:
-    """The operations of one program.
+    """Applies the operations of one program.
 
     Args:
-        program: takes the expressions.
+        program: collects the expressions.
         long: length of the axis that is looped over instead of written out; 0: none is.
 
     Attributes:
-        axes: know the shapes of the tensors that the next operation is of.
-        views: names of operations whose result shares its memory with what it is of.
+        axes: hold the shapes of the operands of the next operation.
+        views: names of operations whose result shares memory with its operand.
     """
 
     def __init__(self, program: Program, long: int = 0) -> None:
@@ -36,10 +36,10 @@ class Operations:
         }
 
     def call(self, name: str, *arguments: Any, **options: Any) -> Any:
-        """An operation, by its name in PyTorch, of arrays and plain arguments.
+        """Applies an operation, by its name in PyTorch, to arrays and plain arguments.
 
         Raises:
-            NotImplementedError: it is not there, or not for these arguments; says why not.
+            NotImplementedError: it is not supported, or not for these arguments; says why.
         """
         if name not in self.by_name:
             raise NotImplementedError("")
@@ -49,12 +49,12 @@ class Operations:
             TypeError,
             ValueError,
             IndexError,
-        ) as error:  # options that it does not know, or the long axis
+        ) as error:  # for unknown options, or along the long axis
             raise NotImplementedError(f"with these arguments ({error})") from error
 
 
 def elementwise(function: Callable[..., Value]) -> Callable[..., ndarray]:
-    """A function of values as one of arrays, which broadcast."""
+    """Returns a function of values as a function of arrays, which broadcast."""
 
     def run(*arrays: Any, **options: Any) -> ndarray:
         columns = np.broadcast(*map(objects, arrays))

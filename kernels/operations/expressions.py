@@ -1,12 +1,12 @@
-"""Scalar expressions of one column: each is written once, literals fold, and what nobody needs is dropped.
+"""Scalar expressions of one column: each is written once, literals fold, and unneeded ones are dropped.
 
-A value is a Python number or truth value (a literal), or an `Expression`. Folding is exact but for zeros that are known
-beforehand, as most derivatives are, which must cost nothing:
+A value is a Python number or truth value (a literal), or an `Expression`. Folding is exact, except for zeros that are
+known beforehand. Most derivatives are such zeros, and they must cost nothing:
 
     0 x and 0 / x are 0          where x is NaN or infinite, or x in 0 / x is zero, PyTorch has NaN
-    x + 0 is x, 0 - x is -x      the sign of a result that is zero may be another
+    x + 0 is x, 0 - x is -x      a result that is zero may have the other sign
 
-Whoever calls printed code with numbers that are not finite says at the entrance which columns are. NaN and infinity
+The caller of printed code must itself mark columns with numbers that are not finite at the entrance. NaN and infinity
 pass through everything else as through PyTorch's operations.
 """
 
@@ -20,16 +20,16 @@ import numpy as np
 
 ELEMENT = re.compile(r"(\w+)\[(\d+)\]")  # of an array in C
 NUMBER, MASK = "number", "mask"
-MOST = 120_000  # expressions: the compiler takes a minute or two
+MOST = 120_000  # expressions; with so many the compiler takes one to two minutes
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
 class Expression:
-    """An operation on values.
+    """Describes an operation on values.
 
     Attributes:
         operation: "input", "table", an operator or a function of C's math.h.
-        arguments: values; of an input or a table the text or number that identifies it.
+        arguments: values; for an input or a table the text or number that identifies it.
         kind: NUMBER or MASK.
         index: its place among all expressions of a program; arguments come before.
         stage: how many reductions over the long axis lie before it.
@@ -48,7 +48,7 @@ Value = Expression | float | int | bool
 
 
 def of_numpy(name: str) -> Callable[..., float]:
-    """A function of NumPy's as one of literals: infinite or NaN where C's is."""
+    """Returns a function of NumPy for literals: infinite or NaN where the function of C is."""
 
     def run(*numbers: float) -> float:
         with np.errstate(all="ignore"):
@@ -57,7 +57,7 @@ def of_numpy(name: str) -> Callable[..., float]:
     return run
 
 
-# what literals give, by operation, as C computes it
+# results of operations on literals, as C computes them
 FOLDED: dict[str, Callable[..., Value]] = {
     "add": lambda a, b: a + b,
     "sub": lambda a, b: a - b,
@@ -81,9 +81,9 @@ FOLDED: dict[str, Callable[..., Value]] = {
                                          "hypot", "copysign")},
 }  # fmt: skip
 COMMUTATIVE = {"add", "mul", "eq", "and", "or"}
-# what joins the entries along the long axis; the last two give the index of the first least or most one
+# operations that join the entries along the long axis; the last two give the index of the first extreme one
 REDUCTIONS = {"sum": "add", "least": "min", "most": "max", "any": "or", "least_at": "le", "most_at": "le"}
-# what rounds no number that is one of single precision
+# operations that do not round a number of single precision
 EXACT = {
     "neg",
     "fabs",
@@ -100,7 +100,7 @@ EXACT = {
 
 
 class Program:
-    """All expressions of a function, each once.
+    """Holds all expressions of a function, each once.
 
     Args:
         real: "double" or "float", the type of its numbers.
@@ -122,7 +122,7 @@ class Program:
         varies: bool | None = None,
         stage: int | None = None,
     ) -> Expression:
-        """The expression, new or known."""
+        """Returns the expression, new or known."""
         key = (operation, *[a.index if isinstance(a, Expression) else identity(a) for a in arguments])
         found = self.known.get(key)
         if found is None:
@@ -139,14 +139,14 @@ class Program:
         return found
 
     def input(self, text: str, kind: str, varies: bool = False, single: bool = False) -> Expression:
-        """What C calls `text`; `single`: a number of single precision."""
+        """Returns the value that C calls `text`; `single`: a number of single precision."""
         found = self.make("input", text, kind=kind, varies=varies)
         if single:
             self.singles.add(found.index)
         return found
 
     def table(self, values: Sequence[float]) -> Value:
-        """The entry of a constant table along the long axis; a literal where all are equal."""
+        """Returns the entry of a constant table along the long axis; a literal if all are equal."""
         if len({identity(entry) for entry in values}) == 1:
             return values[0]
         numbers = np.array(values, dtype=float)
@@ -155,7 +155,7 @@ class Program:
         return self.mask(entry) if isinstance(values[0], bool) else entry
 
     def lookup(self, entry: Value, index: Value) -> Value:
-        """What a value along the long axis is at a computed index."""
+        """Returns a value along the long axis at a computed index."""
         if not isinstance(entry, Expression) or not entry.varies:
             return entry
         if entry.operation != "table":
@@ -163,7 +163,7 @@ class Program:
         return self.make("lookup", *entry.arguments, index)
 
     def entry(self, entries: Sequence[Value], index: Value) -> Value:
-        """The entry at a computed index, the last one where there is none."""
+        """Returns the entry at a computed index, the last one if there is none."""
         if self.is_one and (array := evenly_apart(entries)):
             return self.make("entry", *array, index, kind=kind_of(entries[0]))
         result = entries[-1]
@@ -172,7 +172,7 @@ class Program:
         return result
 
     def apply(self, operation: str, *arguments: Value, kind: str = NUMBER) -> Value:
-        """An operation, folded where all arguments are literals."""
+        """Returns an operation, folded if all arguments are literals."""
         if operation in FOLDED and not any([isinstance(a, Expression) for a in arguments]):
             found: Any = FOLDED[operation](*arguments)
             return rounded_to_single(found) if self.real == "float" and kind == NUMBER else found
@@ -183,7 +183,7 @@ class Program:
     # numbers
 
     def number(self, a: Value) -> Expression | float:
-        """A truth value as 0 or 1; numbers as they are."""
+        """Returns a truth value as 0 or 1; numbers as they are."""
         if isinstance(a, Expression):
             return self.select(a, 1.0, 0.0) if a.kind == MASK else a
         return float(a)
@@ -231,11 +231,11 @@ class Program:
         return a.arguments[0] if is_negated(a) else self.make("neg", a)
 
     def call(self, function: str, *arguments: Value) -> Value:
-        """A function of math.h."""
+        """Returns a call of a function of math.h."""
         return self.apply(function, *(self.number(a) for a in arguments))
 
     def power(self, a: Value, exponent: float) -> Value:
-        """a ** exponent; whole exponents up to 8 are multiplied out."""
+        """Returns a ** exponent; whole exponents up to 8 are multiplied out."""
         if exponent in (-0.5, -1.0, -2.0):
             return self.div(1.0, self.power(a, -exponent))
         if exponent == 0.5:
@@ -249,11 +249,11 @@ class Program:
         return self.mul(square, a) if exponent % 2 else square
 
     def min(self, a: Value, b: Value) -> Value:
-        """The smaller one; NaN if either is."""
+        """Returns the smaller one; NaN if either is NaN."""
         return self.extreme("min", self.number(a), self.number(b))
 
     def max(self, a: Value, b: Value) -> Value:
-        """The larger one; NaN if either is."""
+        """Returns the larger one; NaN if either is NaN."""
         return self.extreme("max", self.number(a), self.number(b))
 
     def extreme(self, operation: str, a: Expression | float, b: Expression | float) -> Value:
@@ -265,11 +265,11 @@ class Program:
             return self.apply(operation, a, b)
         if math.isnan(b) or b == (math.inf if operation == "min" else -math.inf):
             return b if math.isnan(b) else a
-        # where one is a literal no NaN needs to be looked for: it fails the comparison, and a is taken
+        # with one literal no test for NaN is needed: NaN fails the comparison, and a is taken
         return self.make(f"{operation}_literal", a, b)
 
     def single(self, a: Value) -> Value:
-        """A number rounded to single precision, as every operation on float32 does."""
+        """Returns a number rounded to single precision, as every operation on float32 does."""
         a = self.number(a)
         if isinstance(a, Expression):
             parts = [b for b in a.arguments if kind_of(b) == NUMBER] if a.operation in EXACT else []
@@ -283,7 +283,7 @@ class Program:
         return found
 
     def is_single(self, a: Value) -> bool:
-        """Whether a number is known to be one of single precision."""
+        """Checks whether a number is known to be one of single precision."""
         return (
             a.index in self.singles
             if isinstance(a, Expression)
@@ -293,7 +293,7 @@ class Program:
     # truth values
 
     def mask(self, a: Value) -> Value:
-        """A number as a truth value, true where it is not zero."""
+        """Returns a number as a truth value, true if it is not zero."""
         if not isinstance(a, Expression):
             return bool(a)
         if a.operation == "select" and a.arguments[1:] == (1.0, 0.0):
@@ -322,7 +322,7 @@ class Program:
         return self.connected("or", a, b, neutral=False)
 
     def connected(self, operation: str, a: Value, b: Value, neutral: bool) -> Value:
-        """Two truth values; a neutral one leaves the other as it is."""
+        """Returns two truth values connected; a neutral one leaves the other as it is."""
         a, b = self.mask(a), self.mask(b)
         for one, other in ((a, b), (b, a)):
             if not isinstance(one, Expression):
@@ -330,7 +330,7 @@ class Program:
         return a if a is b else self.apply(operation, a, b, kind=MASK)
 
     def select(self, condition: Value, a: Value, b: Value) -> Value:
-        """a where the condition is true, else b."""
+        """Returns a if the condition is true, else b."""
         condition = self.mask(condition)
         if not isinstance(condition, Expression):
             return a if condition else b
@@ -345,7 +345,10 @@ class Program:
     # along the long axis
 
     def reduce(self, operation: str, a: Value, count: int) -> Value:
-        """The sum, least, most or any of what varies along the long axis of so many entries, or where that is."""
+        """Returns the sum, least, most or any of a value's entries along the long axis, or an extreme entry's index.
+
+        `count` is the length of the axis.
+        """
         if not isinstance(a, Expression) or not a.varies:
             if operation.endswith("_at"):
                 return 0.0
@@ -356,18 +359,18 @@ class Program:
 
 
 def rounded_to_single(a: float) -> float:
-    """A number in single precision."""
+    """Returns a number in single precision."""
     with np.errstate(all="ignore"):
         return float(np.float32(a))
 
 
 def kind_of(a: Value) -> str:
-    """NUMBER or MASK."""
+    """Returns NUMBER or MASK."""
     return a.kind if isinstance(a, Expression) else MASK if isinstance(a, bool | np.bool_) else NUMBER
 
 
 def identity(a: "Value | str") -> tuple[int, object]:
-    """What tells values apart, 0.0 from -0.0 and from false, and orders them."""
+    """Returns a key that tells values apart, 0.0 from -0.0 and from false, and orders them."""
     if isinstance(a, Expression):
         return 0, a.index
     if isinstance(a, str):
@@ -376,7 +379,7 @@ def identity(a: "Value | str") -> tuple[int, object]:
 
 
 def evenly_apart(entries: Sequence[Value]) -> tuple[str, ...]:
-    """Of inputs that lie evenly apart in an array: its name, the first, how far apart, how many; else nothing."""
+    """Returns the array's name, first index, spacing and count if inputs lie evenly apart in it, else ()."""
     found = [ELEMENT.fullmatch(e.arguments[0]) if is_input(e) else None for e in entries]
     places = [int(each[2]) for each in found if each]
     apart = places[1] - places[0] if len(places) == len(entries) > 1 else 0
@@ -390,15 +393,15 @@ def evenly_apart(entries: Sequence[Value]) -> tuple[str, ...]:
 
 
 def is_input(value: Value) -> TypeGuard[Expression]:
-    """Whether a value is an input that is the same along the long axis."""
+    """Checks whether a value is an input that is the same along the long axis."""
     return isinstance(value, Expression) and value.operation == "input" and not value.varies
 
 
 def is_literal(a: Value, value: float) -> bool:
-    """Whether a is this number."""
+    """Checks whether a is this number."""
     return not isinstance(a, Expression) and not isinstance(a, bool) and a == value
 
 
 def is_negated(a: Value) -> TypeGuard[Expression]:
-    """Whether a is -b."""
+    """Checks whether a is -b."""
     return isinstance(a, Expression) and a.operation == "neg"

@@ -15,13 +15,13 @@ Dims = int | Sequence[int] | None
 
 
 class Reductions:
-    """The operations of one program.
+    """Provides the reductions of one program.
 
     Args:
-        call: an operation on elements by its name, of arrays.
+        call: applies an operation on elements, by its name, to arrays.
 
     Attributes:
-        by_name: them all.
+        by_name: all of these operations.
     """
 
     def __init__(self, program: Program, axes: Axes, call: Callable[..., ndarray]) -> None:
@@ -53,7 +53,7 @@ class Reductions:
     def joined(
         self, join: str, along: str, start: Value, x: ndarray, dim: Dims = None, keepdim: bool = False
     ) -> ndarray:
-        """x joined along one or several axes, in order; `along`: the reduction over the long axis."""
+        """Joins x along one or several axes, in order; `along`: the reduction over the long axis."""
         dims = [dim] if isinstance(dim, int) else dim
         if not dims:
             if depends(x):
@@ -70,23 +70,23 @@ class Reductions:
         return x
 
     def over_long(self, along: str, x: ndarray) -> ndarray:
-        """What varies along the long axis, joined along that."""
+        """Joins values that vary along the long axis over this axis."""
         found = np.empty(x.shape, dtype=object)
         for place in np.ndindex(x.shape):
             found[place] = self.program.reduce(along, x[place], self.axes.long)
         return found
 
     def mean(self, x: ndarray, dim: Dims = None, keepdim: bool = False) -> ndarray:
-        """Of the entries along axes."""
+        """Returns the mean of the entries along axes."""
         return self.call("div", self.by_name["sum"](x, dim, keepdim), self.count(dim))
 
     def count(self, dim: Dims) -> float:
-        """How many entries there are along axes."""
+        """Returns how many entries there are along axes."""
         dims = [dim] if isinstance(dim, int) else dim or range(len(self.axes.lengths))
         return float(math.prod(self.axes.lengths[i] for i in dims))
 
     def norm(self, x: ndarray, order: float = 2, dim: Dims = None, keepdim: bool = False) -> ndarray:
-        """Of vectors along axes: (sum |x|^order)^(1 / order), and its limits."""
+        """Returns the norm of vectors along axes: (sum |x|^order)^(1 / order), and its limits."""
         size = self.call("abs", x)
         if math.isinf(order):
             return (self.most if order > 0.0 else self.least)(size, dim, keepdim)
@@ -99,7 +99,7 @@ class Reductions:
         return self.call("pow", self.sum(self.call("pow", size, order), dim, keepdim), 1.0 / order)
 
     def logsumexp(self, x: ndarray, dim: Dims, keepdim: bool = False) -> ndarray:
-        """log sum exp x along axes."""
+        """Returns log sum exp x along axes."""
         most = self.most(x, dim, True)
         most = self.call("where", self.call("isinf", most), 0.0, most)
         total = self.sum(self.call("exp", self.call("sub", x, most)), dim, True)
@@ -108,7 +108,7 @@ class Reductions:
         return found if keepdim else found.squeeze(dims)
 
     def first(self, kind: str, x: ndarray, dim: int, keepdim: bool = False) -> tuple[ndarray, ...]:
-        """The first least or most entry along an axis, and its index; NaN comes before all else."""
+        """Returns the first least or most entry along an axis, and its index; NaN comes before all other entries."""
         p = self.program
         if dim is None:
             raise NotImplementedError("over all axes, so also over the columns; name an axis (dim)")
@@ -122,7 +122,7 @@ class Reductions:
             for i, other in enumerate(entries[(slice(1, None), *place)], 1):
                 stays = (
                     p.le(value, other) if kind == "least" else p.le(other, value)
-                )  # not if one of them is NaN
+                )  # false if one of them is NaN
                 better = p.and_(p.not_(stays), p.eq(value, value))
                 value, at = p.select(better, other, value), p.select(better, float(i), at)
             best[place], index[place] = value, at
@@ -131,7 +131,7 @@ class Reductions:
         return best, index
 
     def cross(self, a: ndarray, b: ndarray, dim: int = -1) -> ndarray:
-        """a x b along an axis of three."""
+        """Returns a x b along an axis of three."""
         axis = self.axes.written(dim)
         a, b = (np.moveaxis(each, axis, 0) for each in np.broadcast_arrays(a, b))
         parts = [
@@ -141,11 +141,11 @@ class Reductions:
         return np.stack(parts, axis)
 
     def product(self, a: ndarray, b: ndarray) -> ndarray:
-        """a @ b (..., M, K) and (..., K, N), each inner product added up in order, or over the long axis."""
+        """Returns a @ b (..., M, K) and (..., K, N), each inner product added up in order, or over the long axis."""
         return self.sum(self.call("mul", a[..., None], b[..., None, :, :]), a.ndim - 1)
 
     def added_product(self, x: ndarray, a: ndarray, b: ndarray, beta: float = 1, alpha: float = 1) -> ndarray:
-        """beta x + alpha a @ b."""
+        """Returns beta x + alpha a @ b."""
         self.axes.given = self.axes.given[1:]
         scaled = self.call("mul", self.product(a, b), float(alpha))
         return self.call("add", self.call("mul", x, float(beta)), scaled)

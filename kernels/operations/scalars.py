@@ -1,4 +1,4 @@
-"""PyTorch's operations on each element, as operations on values: the names are PyTorch's."""
+"""PyTorch's operations on each element, as operations on values; the names are PyTorch's."""
 
 import math
 from collections.abc import Callable
@@ -9,20 +9,20 @@ from kernels.operations.expressions import MASK, Program, Value, kind_of
 
 Scalar = Callable[..., Value]
 
-# functions that C has under the same name
+# functions with the same name in C
 SAME = ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
         "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "erf", "erfc", "floor", "ceil", "trunc",
         "atan2", "hypot", "fmod", "copysign")  # fmt: skip
 
 
 def scalars(p: Program) -> dict[str, Scalar]:
-    """All of them, for a program that takes the expressions."""
+    """Returns all operations, for a program that collects the expressions."""
     same = {name: partial(p.call, name) for name in SAME}
     return same | arithmetic(p) | comparisons(p) | of_one(p) | of_several(p)
 
 
 def arithmetic(p: Program) -> dict[str, Scalar]:
-    """Sums, products and quotients."""
+    """Returns sums, products and quotients."""
 
     def add(a: Value, b: Value, alpha: float = 1) -> Value:
         if alpha == -1:
@@ -54,10 +54,10 @@ def arithmetic(p: Program) -> dict[str, Scalar]:
 
 
 def comparisons(p: Program) -> dict[str, Scalar]:
-    """What gives truth values."""
+    """Returns the operations with truth values as results."""
 
     def of_truths(name: str, operation: Scalar) -> Scalar:
-        """Bits of integers are not there."""
+        """Returns the operation for truth values only, since integers have no bits here."""
 
         def run(*given: Value) -> Value:
             if any(kind_of(a) != MASK for a in given):
@@ -89,7 +89,7 @@ def comparisons(p: Program) -> dict[str, Scalar]:
 
 
 def of_one(p: Program) -> dict[str, Scalar]:
-    """Functions of one number."""
+    """Returns the functions of one number."""
 
     def sign(a: Value) -> Value:
         return p.sub(p.number(p.lt(0.0, a)), p.number(p.lt(a, 0.0)))
@@ -109,10 +109,10 @@ def of_one(p: Program) -> dict[str, Scalar]:
 
 
 def of_several(p: Program) -> dict[str, Scalar]:
-    """Choices."""
+    """Returns the choices between numbers."""
 
     def clamp(a: Value, low: Any = None, high: Any = None) -> Value:
-        """Of NaN it is NaN; where the bounds cross, the upper one."""
+        """Returns NaN for NaN; where the bounds cross, the upper bound."""
         a = a if low is None else p.max(a, low)
         return a if high is None else p.min(a, high)
 
@@ -127,14 +127,14 @@ def of_several(p: Program) -> dict[str, Scalar]:
 
 
 def has_other_sign(p: Program, rest: Value, b: Value) -> Value:
-    """Whether what is left of a division is neither zero nor of the divisor's sign."""
+    """Checks whether the rest of a division is neither zero nor of the divisor's sign."""
     negative = p.lt(rest, 0.0)
     differs = p.select(p.lt(b, 0.0), p.not_(negative), negative)
     return p.and_(p.not_(p.eq(rest, 0.0)), differs)
 
 
 def floor_divided(p: Program, a: Value, b: Value) -> Value:
-    """a // b as PyTorch has it: from the exact remainder, so that 1 // 0.1 is 9."""
+    """Returns a // b as in PyTorch: from the exact remainder, so that 1 // 0.1 is 9."""
     rest = p.call("fmod", a, b)
     whole = p.div(p.sub(a, rest), b)
     whole = p.sub(whole, p.number(has_other_sign(p, rest, b)))

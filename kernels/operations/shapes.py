@@ -1,7 +1,7 @@
-"""PyTorch's operations that move values and compute nothing, on NumPy object arrays: the names are PyTorch's.
+"""PyTorch's operations that move values and compute nothing, on NumPy object arrays; the names are PyTorch's.
 
-An array has its tensor's shape, but for the long axis, if there is one: along that its length is one, and its entry
-stands for all that lie along it.
+An array has its tensor's shape, except for the long axis, if there is one: its length there is one, and its entry
+stands for all entries along this axis.
 """
 
 import math
@@ -15,13 +15,13 @@ from kernels.operations.expressions import MASK, Expression, Program, Value, kin
 
 
 class Axes:
-    """Which axes of tensors are written out, and which one is looped over.
+    """Describes which axes of tensors are written out, and which one is looped over.
 
     Args:
         long: length of the axis that is looped over; 0: none is.
 
     Attributes:
-        given: the shapes of the tensors that the present operation is of.
+        given: the shapes of the operands of the present operation.
     """
 
     def __init__(self, long: int = 0) -> None:
@@ -30,43 +30,43 @@ class Axes:
 
     @property
     def lengths(self) -> tuple[int, ...]:
-        """The shape of the first tensor."""
+        """Returns the shape of the first tensor."""
         return self.given[0]
 
     def short(self, shape: Sequence[int]) -> tuple[int, ...]:
-        """The shape of the array of a tensor of this one; an axis that the long one was joined to is long, too."""
+        """Returns the shape of a tensor's array; an axis that the long one was joined to is long, too."""
         if not self.long:
             return tuple(shape)
         self.tail(shape)
         return tuple(size // self.long if self.holds_long(size) else size for size in shape)
 
     def holds_long(self, size: int) -> bool:
-        """Whether an axis of this length is the long one, or one that it was joined to."""
+        """Checks whether an axis of this length is the long one, or one that the long one was joined to."""
         return bool(self.long) and size > 0 and size % self.long == 0
 
     def tail(self, shape: Sequence[int]) -> int:
-        """How many numbers of a tensor of this shape lie between two neighbours along the long axis."""
+        """Returns how many numbers of a tensor lie between two neighbours along the long axis."""
         found = [i for i, size in enumerate(shape) if self.holds_long(size)]
         if len(found) > 1:
             raise NotImplementedError("more than one axis that is looped over")
         return math.prod(shape[found[0] + 1 :]) if found else 0
 
     def is_long(self, axis: int) -> bool:
-        """Whether an axis of the first tensor is the long one."""
+        """Checks whether an axis of the first tensor is the long one."""
         return bool(self.long) and self.lengths[axis] == self.long
 
     def written(self, dim: int) -> int:
-        """An axis of the first tensor, counted from the first one; it must not be the long one."""
+        """Returns the index from 0 of an axis of the first tensor; the axis must not be the long one."""
         if self.holds_long(self.lengths[dim]):
             raise NotImplementedError("along an axis that is looped over")
         return dim % len(self.lengths)
 
 
 class Shapes:
-    """The operations.
+    """Provides the operations that move values.
 
     Attributes:
-        views: those whose result shares its memory with what it is of, in PyTorch and in NumPy.
+        views: operations whose result shares memory with its operand, in PyTorch and in NumPy.
         others: the rest.
     """
 
@@ -108,7 +108,7 @@ class Shapes:
     # views
 
     def view(self, x: ndarray, shape: Sequence[int]) -> ndarray:
-        """x in another shape; the long axis may be joined to those before it."""
+        """Returns x in another shape; the long axis may be joined to those before it."""
         if -1 in shape:
             rest = math.prod(self.axes.lengths) // -math.prod(shape)
             shape = [rest if size == -1 else size for size in shape]
@@ -117,25 +117,25 @@ class Shapes:
         return x.reshape(self.axes.short(shape))
 
     def squeeze(self, x: ndarray, dim: int | Sequence[int] | None = None) -> ndarray:
-        """x without axes of length one: all of them, or those that are named."""
+        """Returns x without axes of length one: all of them, or the named ones."""
         named = range(x.ndim) if dim is None else [dim] if isinstance(dim, int) else dim
         return x.squeeze(tuple(i % x.ndim for i in named if self.axes.lengths[i] == 1))
 
     def expand(self, x: ndarray, shape: Sequence[int], **_: Any) -> ndarray:
-        """x broadcast; -1 keeps a length."""
+        """Returns x broadcast; -1 keeps a length."""
         kept = (1,) * (len(shape) - x.ndim) + x.shape
         wanted = zip(self.axes.short(shape), kept, strict=True)
         return np.broadcast_to(x, [old if size == -1 else size for size, old in wanted])
 
     def select(self, x: ndarray, dim: int, index: int) -> ndarray:
-        """x[index] along an axis."""
+        """Returns x[index] along an axis."""
         axis = self.axes.written(dim)
         return x[(*[slice(None)] * axis, slice(index, index + 1 or None))].squeeze(axis)
 
     def slice(
         self, x: ndarray, dim: int = 0, start: int | None = None, end: int | None = None, step: int = 1
     ) -> ndarray:
-        """x[start:end:step] along an axis; of the long one all of it."""
+        """Returns x[start:end:step] along an axis; of the long axis only all of it."""
         axis, length = dim % x.ndim, self.axes.lengths[dim]
         wanted = slice(start, end, step)
         if wanted.indices(length) == (0, length, 1):
@@ -143,11 +143,11 @@ class Shapes:
         return x[(*[slice(None)] * self.axes.written(axis), wanted)]
 
     def unbind(self, x: ndarray, dim: int = 0) -> list[ndarray]:
-        """All x[i] along an axis."""
+        """Returns all x[i] along an axis."""
         return [self.select(x, dim, i) for i in range(self.axes.lengths[dim])]
 
     def split(self, x: ndarray, sizes: int | Sequence[int], dim: int = 0) -> list[ndarray]:
-        """x in parts along an axis, of these sizes."""
+        """Returns x in parts along an axis, of these sizes."""
         axis = self.axes.written(dim)
         if isinstance(sizes, int):
             return np.split(x, range(sizes, x.shape[axis], sizes), axis)
@@ -156,7 +156,7 @@ class Shapes:
     # others
 
     def index_fill(self, x: ndarray, dim: int, index: ndarray, value: Any) -> ndarray:
-        """x with entries at known places along an axis replaced, by a value or by x's shape of them."""
+        """Returns x with entries at known places along an axis replaced, by a value or an array of their shape."""
         x = x.copy()
         axis = self.axes.written(dim)
         x[(*[slice(None)] * axis, whole(index))] = value
@@ -165,7 +165,7 @@ class Shapes:
     # at indices
 
     def index(self, x: ndarray, indices: Sequence[Any]) -> ndarray:
-        """x[indices], one per axis from the first one on; None: all along that axis.
+        """Returns x[indices], one per axis from the first one on; None: all along that axis.
 
         Indices and masks are known, or one index is computed.
         """
@@ -186,7 +186,7 @@ class Shapes:
         return np.moveaxis(found, range(index.ndim), range(axis, axis + index.ndim))
 
     def known(self, indices: Sequence[Any]) -> tuple[Any, ...]:
-        """Indices as NumPy takes them."""
+        """Returns indices as NumPy takes them."""
         found, axis = [], 0
         for index in indices:
             if index is None:
@@ -199,7 +199,7 @@ class Shapes:
         return tuple(found)
 
     def index_put(self, x: ndarray, indices: Sequence[Any], value: ndarray) -> ndarray:
-        """x with x[indices] replaced: of known indices, or by one number where a computed mask is true."""
+        """Returns x with x[indices] replaced, for known indices, or by one number where a computed mask is true."""
         if len(indices) == 1 and depends(indices[0]) and value.size == 1:
             mask = indices[0].reshape(*indices[0].shape, *[1] * (x.ndim - indices[0].ndim))
             pairs = zip(np.broadcast_to(mask, x.shape).flat, x.flat, strict=True)
@@ -209,7 +209,7 @@ class Shapes:
         return x
 
     def gather(self, x: ndarray, dim: int, index: ndarray, **_: Any) -> ndarray:
-        """x[index] along an axis; where the index is computed, one entry after the other is looked for."""
+        """Returns x[index] along an axis; for a computed index, one entry after the other is compared."""
         axis = dim % x.ndim
         entries = np.moveaxis(x, axis, 0)
         found = np.empty(index.shape, dtype=object)
@@ -219,7 +219,7 @@ class Shapes:
         return found
 
     def entry(self, entries: ndarray, wanted: Value, along_long: bool) -> Value:
-        """entries[wanted], along the axis that is looped over or another one."""
+        """Returns entries[wanted], along the axis that is looped over or another one."""
         if along_long:
             return self.program.lookup(entries[0], wanted)
         if not isinstance(wanted, Expression):
@@ -228,7 +228,7 @@ class Shapes:
 
 
 def objects(value: Any) -> ndarray:
-    """A number, a truth value or an expression as an object array; arrays as they are."""
+    """Returns a number, a truth value or an expression as an object array; arrays as they are."""
     if isinstance(value, ndarray):
         return value
     array = np.empty((), dtype=object)
@@ -237,7 +237,7 @@ def objects(value: Any) -> ndarray:
 
 
 def depends(values: Any) -> bool:
-    """Whether any of these values, or of those in lists, is an expression."""
+    """Checks whether any of these values, or of those in lists, is an expression."""
     if isinstance(values, list | tuple):
         return any(map(depends, values))
     if isinstance(values, ndarray):
@@ -246,7 +246,7 @@ def depends(values: Any) -> bool:
 
 
 def whole(index: ndarray) -> ndarray:
-    """Known indices or masks as integers or truth values."""
+    """Returns known indices or masks as integers or truth values."""
     if depends(index):
         raise NotImplementedError("with an index that is computed")
     is_mask = bool(index.size) and all(isinstance(each, bool) for each in index.flat)
@@ -254,5 +254,5 @@ def whole(index: ndarray) -> ndarray:
 
 
 def filled(values: Sequence[Value], shape: tuple[int, ...]) -> ndarray:
-    """An object array of this shape with these values."""
+    """Returns an object array of this shape with these values."""
     return np.fromiter(values, object, len(values)).reshape(shape)

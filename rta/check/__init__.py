@@ -1,1 +1,1 @@
-"""The backup laws, which keep every limit and end where the spacecraft can stay, and the checks of their flight."""
+"""The backup laws, which satisfy every limit and end in a set that they never leave, and checks of their trajectory."""

@@ -1,7 +1,7 @@
-"""Propose, check, commit: a control is applied if a backup trajectory after it keeps all limits, else the nearest one.
+"""Propose, check, commit: the applied control has a backup trajectory that satisfies all limits, if one is found.
 
-The nearest is sought between the proposed control and the backup law's, in a few steps; at last it is the law's.
-Torque comes first, since the attitude decides where thrust acts. What a backup trajectory is, a check says for itself
+If the proposed control has none, controls on the way to the backup law's are tried in a few steps, the law's last.
+Torque comes first, since thrust acts along the attitude. Each check defines its backup trajectory
 (`rta.check.nominal`). Gurriet et al. 2020, backup barriers; Agrawal, Chen and Panagou 2023, gatekeeper.
 """
 
@@ -17,23 +17,23 @@ from inspection.model.state import SIZE, THRUST, TORQUE
 from rta.names import PAPERS
 from rta.result import FilterResult, Status
 
-# limits that are kept by thrust, and by torque: the first of Table 3, then the rates
+# numbers of limits on thrust, and on torque without the rates, in the order of Table 3
 MOTION, ATTITUDE = 7, 3
-LIMITS = MOTION + ATTITUDE + 1  # the body rates are one
-CONTROLS = THRUST, TORQUE  # of the groups
-SHARES = (0.25, 0.5, 0.75)  # tried between the proposed control and the backup law's
+LIMITS = MOTION + ATTITUDE + 1  # the body rates count as one limit
+CONTROLS = THRUST, TORQUE  # the controls of group 0 and of group 1
+SHARES = (0.25, 0.5, 0.75)  # shares of the way from the proposed control to the backup law's
 
 
 class NoCheckError(ValueError):
-    """No backup laws are known that keep the limits for good; says why."""
+    """Signals that no backup laws are known that satisfy the limits for good, and why."""
 
 
 class Check(Fixed, ABC):
-    """A check of controls at states y (n, B), whose first components are those of a state.
+    """Checks controls at states y (n, B), whose first components are those of a state.
 
     Attributes:
         size: n.
-        knows: (bool, bool), whether a backup law is known of thrust, and of torque; reason: why one is not.
+        knows: (bool, bool), whether a backup law is known for thrust, and for torque; reason: why one is not.
     """
 
     knows: tuple[bool, bool]
@@ -42,11 +42,11 @@ class Check(Fixed, ABC):
 
     @abstractmethod
     def has_backup_trajectory(self, x: Tensor) -> Tensor:
-        """Tells from which true states (16, B) the laws that are known keep their limits for good, (B,) bool."""
+        """Checks from which true states (16, B) the known backup laws satisfy their limits for good, (B,) bool."""
 
     @abstractmethod
     def fit(self, y: Tensor, h: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns which limits are broken already and not asked for, (11, B); which groups can be checked, (2, B).
+        """Returns which limits are violated already and not checked, (11, B), and which groups can be checked, (2, B).
 
         Args:
             h: (13, B) the limits' values.
@@ -67,22 +67,23 @@ class Check(Fixed, ABC):
 
     @abstractmethod
     def is_safe(self, y: Tensor, u: Tensor, broken: Tensor, asked: Tensor) -> Tensor:
-        """Tells whether thrust, torque of controls (6, B) keep their limits, held and on the backup trajectory, (2, B).
+        """Checks whether a hold of controls (6, B) and the backup trajectory satisfy each group's limits, (2, B) bool.
 
         Args:
-            broken: as of `fit`; asked: (2, B) bool, the groups to check; of the others nothing is said.
+            broken: as returned by `fit`; asked: (2, B) bool, the groups to check; the result is undefined for the
+                others.
         """
 
     def with_own(self, u: Tensor, group: int, own: Tensor) -> Tensor:
-        """Replaces thrust (group 0) or torque of controls (6, B) by others (3, B)."""
+        """Replaces thrust (group 0) or torque of controls (6, B) by `own` (3, B)."""
         return torch.cat((own, u[TORQUE]) if group == 0 else (u[THRUST], own))
 
     def followed(self, y: Tensor, u: Tensor, broken: Tensor) -> list[Tensor]:
-        """Returns both laws' controls (6, B) where flying them from y is safe, else u; where it is. Here: nowhere."""
+        """Returns both laws' controls (6, B) where these are safe from y, else u, and where they are. Here: nowhere."""
         return [u, torch.zeros_like(broken[0])]
 
     def led(self, y: Tensor, broken: Tensor, fit: Tensor) -> Tensor:
-        """Tells which groups have a violated limit and follow their law until it is kept again, (2, B) bool."""
+        """Returns which groups have a violated limit, and so follow their law back to it, (2, B) bool."""
         return torch.stack((broken[:MOTION].any(0), broken[MOTION:].any(0))) & fit
 
     def led_back(self, y: Tensor, u: Tensor, led: Tensor) -> list[Tensor]:
@@ -91,7 +92,7 @@ class Check(Fixed, ABC):
         return [self.with_own(u, 0, torch.where(led[0], self.thrust(y, u[TORQUE]), u[THRUST]))]
 
     def commit(self, y: Tensor, desired: Tensor, proposed: FilterResult) -> FilterResult:
-        """Returns what is applied in the place of a proposal at states y (n, B)."""
+        """Returns what is applied in place of a proposal at states y (n, B)."""
         broken, fit = call(self.fit, y, proposed.h[: len(PAPERS)])
         led = self.led(y, broken, fit)
         (control,) = when(led.any(0), self.led_back, [proposed.control], y, proposed.control, led, waits=True)
@@ -110,13 +111,13 @@ class Check(Fixed, ABC):
         )
 
     def committed(self, y: Tensor, u: Tensor, broken: Tensor, fit: Tensor) -> list[Tensor]:
-        """Finds what is applied in the place of proposed controls (6, B).
+        """Returns what is applied in place of proposed controls (6, B).
 
         Args:
-            broken, fit: as of `fit`.
+            broken, fit: as returned by `fit`.
 
         Returns:
-            Controls (6, B); (2, B) bool: thrust and torque are safe; (2, B) bool: they are other ones.
+            Controls (6, B); (2, B) bool: thrust and torque are safe; (2, B) bool: they differ from the proposed ones.
         """
         safe = self.is_safe(y, u, broken, fit) & fit
         changed = fit & ~safe
@@ -124,11 +125,11 @@ class Check(Fixed, ABC):
         return when(changed.any(0), self.replaced, [u, safe, changed], *given, waits=True)
 
     def replaced(self, y: Tensor, u: Tensor, broken: Tensor, fit: Tensor, safe: Tensor) -> list[Tensor]:
-        """Finds what is applied in the place of controls that are not safe, as `committed`."""
+        """Returns what is applied in place of controls that are not safe, as `committed`."""
         no = torch.zeros_like(safe[0])
         turned = fit[1] & ~safe[1]
         u, torque = when(turned, self.nearest, [u, no], y, u, broken, 1, waits=True, name="nearest_torque")
-        # thrust is looked at again, with the torque that is applied
+        # check thrust again, with the torque that is applied
         (thrust,) = when(turned & fit[0], self.is_thrust_safe, [safe[0]], y, u, broken, waits=True)
         pushed = fit[0] & ~thrust
         u, other = when(pushed, self.nearest, [u, no], y, u, broken, 0, waits=True, name="nearest_thrust")
@@ -137,11 +138,11 @@ class Check(Fixed, ABC):
         return [u, safe | followed, changed | followed]
 
     def is_thrust_safe(self, y: Tensor, u: Tensor, broken: Tensor) -> list[Tensor]:
-        """Tells whether thrust of controls (6, B) is safe, (B,) bool."""
+        """Checks whether thrust of controls (6, B) is safe, (B,) bool."""
         return [self.is_safe(y, u, broken, only(0, broken))[0]]
 
     def nearest(self, y: Tensor, u: Tensor, broken: Tensor, group: int) -> list[Tensor]:
-        """Finds the first safe control between u (6, B) and the law's of a group, else the law's.
+        """Returns the first safe control between u (6, B) and the law's of a group, else the law's.
 
         Returns:
             Controls (6, B); (B,) bool: they are safe.
@@ -182,9 +183,9 @@ def concluded(
     slack: Tensor,
     status: Tensor,
 ) -> list[Tensor]:
-    """Tells whether controls (6, B) are not the desired ones, are verified, replace proposed ones; slack and statuses.
+    """Returns whether controls (6, B) were changed, are verified and replace proposed ones; also slack and statuses.
 
-    A verified control keeps every limit, whatever the program gave slack.
+    A verified control satisfies every limit, whatever slack the program used.
     """
     intervened = (control != desired).any(0)
     verified = safe.all(0) & ~broken.any(0)
@@ -195,6 +196,6 @@ def concluded(
 
 
 def only(group: int, broken: Tensor) -> Tensor:
-    """Returns that one group matters, (2, B) bool."""
+    """Selects one group, (2, B) bool."""
     yes = torch.ones_like(broken[0])
     return torch.stack((yes, ~yes) if group == 0 else (~yes, yes))

@@ -1,8 +1,8 @@
-"""A lower bound of every limit on the whole flight of the backup laws, by one look: it decides where limits are far.
+"""A lower bound of every limit on the whole backup trajectory from one test, which is enough where limits are far.
 
-It needs what the laws do in the large only, each taken generously: within `arrives` s the attitude is at rest; the
-camera recedes from the Sun once the body has the law's rates; a spacecraft brakes on a straight line. What it accepts
-the flight itself accepts, too (tests/rta/check/test_early_accept.py).
+The bound uses only coarse properties of the laws, each taken generously: the attitude is at rest within `arrives` s,
+the camera recedes from the Sun once the body has the law's rates, and a spacecraft brakes on a straight line. The
+simulated trajectory accepts everything that this test accepts (tests/rta/check/test_early_accept.py).
 """
 
 import math
@@ -20,19 +20,19 @@ from rta.check.intersample_bounds import FreeFlight, Strays, between
 from rta.check.motion_law import BESIDE, DRIFT, INSIDE, STEEP, Braking
 from rta.check.terminal_set import TerminalSet
 
-SLOWER = 0.8  # of the law's rate, at which the panels turn to the Sun at least
-CELLS = (5, 1)  # as of `flight`
-SLACK = 0.1  # rad, of every angle, for what is not known of the turn
+SLOWER = 0.8  # smallest rate at which the panels turn to the Sun, as a share of the law's rate
+CELLS = (5, 1)  # as in `flight`
+SLACK = 0.1  # rad, margin of every angle, since the turn is not simulated
 
 
 @dataclass(frozen=True)
 class EarlyAccept:
-    """What the bound depends on.
+    """Holds the constants of the bound.
 
     Attributes:
-        flight: how a hold is flown; free: of free flight.
+        flight: how a hold is simulated; free: bounds of free flight.
         stopping: s, until a body has the law's rates; arrives: s, until it is at rest.
-        sunlight: deg C/s, by which the Sun heats at most.
+        sunlight: deg C/s, the Sun's largest heating.
     """
 
     pointing: Pointing
@@ -55,19 +55,19 @@ class EarlyAccept:
         return cls(pointing, braking, flight, free, stopping, stopping + turn / SLOWER, sunlight)
 
     def attitude(self, x: Tensor) -> Tensor:
-        """Exclusion, temperature, battery and rates from states (16, B) on, at least: (4, B)."""
+        """Returns lower bounds of exclusion, temperature, battery and rates from states (16, B) on: (4, B)."""
         c, w = self.pointing.c, self.flight
         # while the body comes to the law's rates
         swept = 0.6 * self.stopping * (norm(x[OMEGA]) + self.pointing.fastest) + SLACK
         sun, _ = sun_and_earth_in_body(x)
         delta = incidence(c.solar_panel_axis, sun) + swept
-        # e . s is sin(delta) at most; delta falls at a share of the law's rate, and at last of kappa delta
+        # e . s is at most sin(delta); delta falls at a share of the law's rate, and at the end of kappa delta
         full, none = torch.ones_like(x[T]), torch.zeros_like(x[T])
         turning = (1.0 - delta.clamp(max=math.pi).cos()) / (SLOWER * self.pointing.rate)
         lit = self.stopping + turning + self.pointing.rate / (SLOWER * self.pointing.kappa**2)
         heat = temperature_rate(none, full, x[T], c).clamp(min=0.0) * self.arrives + self.sunlight * lit
         warm = (c.temperature_sun_slope + c.temperature_earth_slope) * (math.pi / 2 + SLACK)
-        # the panels charge enough from an angle on
+        # the panels charge enough below this angle
         charged = math.acos(c.power_draw / 1000.0 / w.charging) - SLACK
         falling = (delta - charged).clamp(min=0.0) / (SLOWER * self.pointing.rate)
         used = (self.stopping + falling) * c.power_draw / 1000.0 + w.charging * SLACK
@@ -82,11 +82,11 @@ class EarlyAccept:
         )
 
     def motion(self, x: Tensor) -> Tensor:
-        """The limits of motion on a straight backup trajectory from states (16, B), at least: (7, B).
+        """Returns lower bounds of the limits of motion on a straight backup trajectory from states (16, B): (7, B).
 
-        Place and speed lie on one parabola until the last hold, and on another in it. Their distance from the chord is
-        at most the larger sag, (v - s)^2 / (8 a) or s T / 8, plus the distance of the point where both meet. A hold
-        leaves mean_error |G| T of velocity, which none that follows makes larger.
+        Position and speed lie on one parabola until the last hold, and on another one in it. Their distance from the
+        chord is at most the larger sag, (v - s)^2 / (8 a) or s T / 8, plus the distance of the point where both
+        parabolas meet. A hold leaves mean_error |G| T of velocity, and no later hold makes this error larger.
         """
         c, w, n = self.pointing.c, self.braking, self.pointing.c.mean_motion
         p, v, t = x[P], x[V], w.hold
@@ -100,7 +100,7 @@ class EarlyAccept:
         meet = (fallen - length * (1.0 - slow / speed.clamp(min=1e-30))).abs()
         sag = meet + torch.maximum((speed - slow) ** 2 / (8 * w.straight), slow * t / 8)
         holds = full + 2.0
-        drift = w.thrust - w.straight  # of natural acceleration, at most and in any direction
+        drift = w.thrust - w.straight  # largest natural acceleration, in any direction
         push = torch.minimum(speed / t, torch.full_like(speed, w.straight)) + drift
         turn = 1.05 * norm(x[OMEGA]).clamp(min=self.pointing.fastest) + 4 * n
         far = norm(p + length / 2 * direction)
@@ -114,8 +114,7 @@ class EarlyAccept:
         e_v = e_v + torch.where(fields, DRIFT, torch.zeros_like(speed))
         e_p = e_v * (holds * t + self.arrives * torch.where(fields, 1.0, torch.full_like(speed, 0.05)))
         limits = between(start, rest, Strays(e_p + sag, e_v, e_v), c, self.free)
-        # where the law takes the trajectory to end, at first and at last: in between the point moves from the one to
-        # the other
+        # The law estimates the trajectory's end. It moves from the first of these distances to the second.
         ends = [norm(p + direction * speed * (speed / (2 * w.straight) + late)) for late in (0.0, t / 2)]
         straight = c.max_distance - INSIDE - w.buffer - torch.maximum(*ends) - e_p
         return torch.minimum(limits, straight)

@@ -1,4 +1,4 @@
-"""A hold as the plant flies it, and the least that each limit can be on it."""
+"""A hold as the plant flies it, and lower bounds of the limits in it."""
 
 import math
 from collections.abc import Sequence
@@ -23,23 +23,23 @@ from inspection.model.state import OMEGA, THRUST, TORQUE, E, Q, T, V
 from rta.check.commit import MOTION
 from rta.check.intersample_bounds import FreeFlight, between, strays
 
-LOOK = 3.5  # s, between two looks at motion at most
-# Cells of passive safety's horizon, and searches in each, see `FreeFlight`. In C they are looped over, so that no other
-# axis may be a multiple of them.
+LOOK = 3.5  # s, longest time between two tests of motion
+# Cells of passive safety's horizon, and searches in each, see `FreeFlight`. C loops over the cells, so no other axis
+# may be a multiple of their number.
 CELLS = (13, 1)
-FLAT = 1.5  # rad, whose cotangent counts where the camera is farther from the Sun
+FLAT = 1.5  # rad; larger angles from the camera to the Sun count with the cotangent of this one
 
 
 @dataclass(frozen=True)
 class Flight:
-    """How a hold is flown and looked at.
+    """Holds how a hold is simulated and tested.
 
     Attributes:
-        seconds: s, of a step of the plant; looks: steps of the plant in each part of the hold; motion is
-            tested once per part.
-        free: of free flight; drift: m/s^2, the strongest natural acceleration.
-        spin: of gyroscopic accelerations, in rad/s^2 per (rad/s)^2.
-        heating: deg C/s, that light makes at most; charging: kJ/s, of panels in full light.
+        seconds: s, of a step of the plant; looks: steps of the plant in each part of the hold; motion is tested once
+            per part.
+        free: bounds of free flight; drift: m/s^2, the strongest natural acceleration.
+        spin: gyroscopic acceleration in rad/s^2 per (rad/s)^2.
+        heating: deg C/s, the light's largest heating; charging: kJ/s, of panels in full light.
     """
 
     c: Limits
@@ -53,7 +53,7 @@ class Flight:
 
     @property
     def gyroscopic(self) -> float:
-        """rad/s^2, of a body within the limits of its rates at most."""
+        """Returns the largest gyroscopic acceleration in rad/s^2 of a body within the limits of its rates."""
         return self.spin * 3 * self.c.max_rate**2
 
     @classmethod
@@ -77,19 +77,19 @@ class Flight:
 
 
 def angular(u: Tensor, c: Limits) -> Tensor:
-    """rad/s^2 (3, ...) that the torque of controls (6, ...) gives."""
+    """Returns the angular acceleration in rad/s^2 (3, ...) from the torque of controls (6, ...)."""
     return torch.stack([part / moment for part, moment in zip(u[TORQUE], c.inertia, strict=True)])
 
 
 def peak(x: Tensor, u: Tensor, t: float, w: Flight) -> Tensor:
-    """rad/s, at which a body turns at most in t s, in which nothing holds the rates: (...)."""
+    """Returns an upper bound in rad/s of the body's rate within t s, if the plant does not clamp the rates: (...)."""
     faster = angular(u, w.c)
     fast = torch.maximum(norm(x[OMEGA]), norm(x[OMEGA] + t * faster))
     return fast * (1.0 + 2.0 * w.spin * fast * t)
 
 
 def path(x: Tensor, u: Tensor, w: Flight) -> list[Tensor]:
-    """The states (16, B) of a hold of controls (6, B), from the first on, after each step of the plant."""
+    """Returns the states (16, B) of a hold of controls (6, B): the first one, then one after each step of the plant."""
     states = [x]
     for _ in range(sum(w.looks)):
         states.append(step(states[-1], u, w.seconds, w.c))
@@ -97,10 +97,10 @@ def path(x: Tensor, u: Tensor, w: Flight) -> list[Tensor]:
 
 
 def hold(x: Tensor, u: Tensor, asked: Tensor, w: Flight) -> tuple[Tensor, Tensor]:
-    """A hold of controls (6, B) at states (16, B): the states after it, and the least of each limit in it (11, B).
+    """Returns the states after a hold of controls (6, B) from x (16, B), and lower bounds of the limits in it (11, B).
 
     Args:
-        asked: (B,) bool, where the limits of motion matter; elsewhere they are zero.
+        asked: (B,) bool, where the limits of motion are needed; elsewhere they are zero.
     """
     states = path(x, u, w)
     nothing = torch.zeros_like(x[:MOTION])
@@ -109,7 +109,7 @@ def hold(x: Tensor, u: Tensor, asked: Tensor, w: Flight) -> tuple[Tensor, Tensor
 
 
 def motion_along(w: Flight, u: Tensor, *states: Tensor) -> list[Tensor]:
-    """The least of each limit of motion in a hold (7, B)."""
+    """Returns lower bounds of the limits of motion in a hold, (7, B)."""
     motion, first = [], 0
     for steps in w.looks:
         last = first + steps
@@ -120,17 +120,17 @@ def motion_along(w: Flight, u: Tensor, *states: Tensor) -> list[Tensor]:
 
 
 def attitude_along(states: Sequence[Tensor], u: Tensor, w: Flight) -> Tensor:
-    """Returns the least of each limit of attitude on the states of a hold, (4, B)."""
+    """Returns lower bounds of the limits of attitude in a hold by its states, (4, B)."""
     return torch.stack([attitude_between(y, z, u, w.seconds, w) for y, z in pairwise(states)]).amin(0)
 
 
 def attitude_between(start: Tensor, end: Tensor, u: Tensor, t: float, w: Flight) -> Tensor:
-    """The least of exclusion, temperature, battery and rates between two states of a hold that are t s apart, (4, ...).
+    """Returns lower bounds of exclusion, temperature, battery, rates between two states of a hold, t s apart: (4, ...).
 
-    The angle to the Sun of an axis that turns at w, with angular acceleration a, has a second derivative of at most
-    a + w^2 / 2 + w^2 cot(angle) where it is convex; it changes by w t / 2 to either end at most. So do the angles of
-    incidence, whose slopes delta_0 to delta_2 take that off. T and E differ from their chords by less than the change
-    in t when the angle of incidence changes by w t / 2.
+    Take the angle between the Sun and an axis that turns at w with angular acceleration a. Where the angle is convex in
+    time, its second derivative is at most a + w^2 / 2 + w^2 cot(angle); the angle is at most w t / 2 off one of its
+    ends. The angles of incidence are off by as much, so this times the slopes delta_0 to delta_2 is subtracted. T and E
+    are off their chords by less than their change in t for an angle of incidence that is off by w t / 2.
     """
     c = w.c
     fast = peak(start, u, t, w)
@@ -160,17 +160,17 @@ def attitude_between(start: Tensor, end: Tensor, u: Tensor, t: float, w: Flight)
 
 
 def incidence(axis: str, direction: Tensor) -> Tensor:
-    """The angle in rad between a body axis and a direction in the body (3, ...)."""
+    """Returns the angle in rad between a body axis and a direction in the body (3, ...)."""
     return cosine_to(axis, direction).clamp(-1.0, 1.0).arccos()
 
 
 def motion_between(start: Tensor, end: Tensor, u: Tensor, fast: Tensor, t: float, w: Flight) -> Tensor:
-    """The least of the limits of motion between two states of a hold that are t s apart, (7, ...).
+    """Returns lower bounds of the limits of motion between two states of a hold, t s apart: (7, ...).
 
-    Natural acceleration changes by 3 n^2 |v| + 2 n |a| a second at most.
+    Natural acceleration changes by at most 3 n^2 |v| + 2 n |a| per second.
 
     Args:
-        fast: (...) rad/s, at which the body turns at most.
+        fast: (...) rad/s, the body's largest rate.
     """
     n, push = w.c.mean_motion, u[THRUST] / w.c.mass
     mean = (rotate(start[Q], push) + rotate(end[Q], push)) / 2

@@ -1,7 +1,8 @@
-"""The least that the limits of motion can be between two looks at a path, from the looks alone.
+"""Lower bounds of the limits of motion between two tests of a path, from the tested states alone.
 
-A path of position and velocity is known at its nodes, and to stray from the chord between two of them, (p, v) linear in
-a share s of the way, by at most e_p in position and e_v in velocity. Each limit has a lower bound on the whole chord:
+A path of position and velocity is known at its nodes. The chord between two nodes is (p, v) linear in a share s of the
+way. The path is off the chord by at most e_p in position and e_v in velocity. Each limit has a lower bound on the whole
+chord:
 
     |v(s)|              is convex: at most its chord;  |v_i| likewise
     |p(s)|              is convex: at most its chord, and at least n . p(s), linear, for any direction n
@@ -12,10 +13,10 @@ a share s of the way, by at most e_p in position and e_v in velocity. Each limit
                         largest |p''(t)|. So all paths from all of a chord within dt lie in the hull of four points,
                         which is beyond the sphere if m . p > R at each of them for one direction m
 
-Beside a hull the collision's z and v_r are heights above a plane and speeds away from it, linear both, and m is a
-plane's normal; of all planes the best counts.
+Beside a hull the collision's z and v_r are the height above a plane and the speed away from it. Both are linear, and m
+is the plane's normal. The best of all planes counts.
 
-What the path strays counts as it is: e_p and e_v, and in free flight |Phi_rr| e_p + |Phi_rv| e_v.
+The distance from the chord is added to each bound: e_p and e_v, and in free flight |Phi_rr| e_p + |Phi_rv| e_v.
 """
 
 import math
@@ -32,18 +33,18 @@ from inspection.model.orbit import free_flight, share
 from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, P, V
 
-NEAREST = 1.0  # m, to which distances to the chief's centre are rounded up where they divide
-NEVER = 1e3  # m/s; -NEVER stands for a root that has no real value
+NEAREST = 1.0  # m, smallest distance to the chief's centre that is used as a divisor
+NEVER = 1e3  # m/s; -NEVER stands for a root without a real value
 
 
 @dataclass(frozen=True)
 class FreeFlight:
-    """How free flight over the horizon depends on where it begins, by Clohessy and Wiltshire.
+    """Holds bounds of how free flight over the horizon depends on its initial state (Clohessy and Wiltshire).
 
     Attributes:
-        position: the largest |Phi_rr|; velocity: of |Phi_rv| / t.
+        position: the largest |Phi_rr|; velocity: the largest |Phi_rv| / t.
         bend_position, bend_velocity: the largest |Phi_rr''| in 1/s^2 and |Phi_rv''| in 1/s.
-        cells: in which the horizon is looked at; searches: for the direction m in each, by Gilbert's method (1966).
+        cells: parts of the horizon; searches: for the direction m in each, by Gilbert's method (1966).
     """
 
     position: float
@@ -54,14 +55,14 @@ class FreeFlight:
     searches: int
 
     def times(self, y: Tensor, c: Limits) -> tuple[float, list[Tensor]]:
-        """Length of a cell in s; when each begins and ends, in s: (cells, 1, ...), as many axes as y (6, ...)."""
+        """Returns a cell's length in s, and begin and end of each in s: (cells, 1, ...), as many axes as y (6, ...)."""
         cell = c.passive_safety_horizon / self.cells
         first = torch.arange(self.cells, dtype=y.dtype, device=y.device)
         return cell, [(cell * each).reshape(-1, *(1,) * (y.dim() - 1)) for each in (first, first + 1)]
 
     @classmethod
     def of(cls, c: Limits, cells: int, searches: int) -> "FreeFlight":
-        """Of a grid of a second each, 0.1 % up: the entries turn by n t, 0.06 deg a second."""
+        """Computes the bounds on a grid of 1 s, raised by 0.1 %: the entries turn by n t, 0.06 deg per second."""
         n, horizon = c.mean_motion, c.passive_safety_horizon
         t = torch.linspace(horizon / 500, horizon, 500, dtype=torch.float64)
         columns = []
@@ -84,14 +85,14 @@ class FreeFlight:
 
 
 def least_stretch(slope: Tensor, times: Tensor, n: float) -> Tensor:
-    """The least singular value of Phi_rr + slope Phi_rv, by times (m,) in s and slopes (k,) in 1/s: (m, k).
+    """Returns the least singular value of Phi_rr + slope Phi_rv by times (m,) in s and slopes (k,) in 1/s: (m, k).
 
-    Free flight from p at a velocity of slope p stretches p by that at least, in whatever direction p is. Both matrices
-    are of x and y, and of z apart.
+    Free flight from p with the velocity slope p stretches p at least by this factor, for any direction of p. Both
+    matrices act on x and y together, and on z alone.
     """
     eye = torch.eye(3, dtype=times.dtype)[:, :, None]
     none = torch.zeros_like(eye[0])
-    of_p = [free_flight(e, none, times, n) for e in eye]  # (3, times), by where it begins
+    of_p = [free_flight(e, none, times, n) for e in eye]  # (3, times) by initial position
     of_v = [free_flight(none, e, times, n) for e in eye]
     (xx, yx, _), (xy, yy, _), (_, _, zz) = (
         p[:, :, None] + v[:, :, None] * slope for p, v in zip(of_p, of_v, strict=True)
@@ -102,7 +103,7 @@ def least_stretch(slope: Tensor, times: Tensor, n: float) -> Tensor:
 
 
 class Strays(NamedTuple):
-    """How far a path strays from the chord between two nodes, (...).
+    """Holds how far a path is off the chord between two nodes, (...).
 
     Attributes:
         position: m; velocity, speed: m/s, of v in any direction and of |v|.
@@ -114,13 +115,13 @@ class Strays(NamedTuple):
 
 
 def between(start: Tensor, end: Tensor, off: Strays, c: Limits, free: FreeFlight) -> Tensor:
-    """The least of each limit of motion between two nodes (6, ...) of a path: (7, ...), see the module.
+    """Returns lower bounds of the limits of motion between two nodes (6, ...) of a path: (7, ...), see the module.
 
-    In the order and units of `TRANSLATIONAL`, but for velocity: v_max - |v_i| in m/s. Where a root has no real value,
-    -NEVER takes its place, so that the result is far below zero.
+    They have the order and units of `TRANSLATIONAL`, except for velocity: v_max - |v_i| in m/s. Where a root has no
+    real value, -NEVER takes its place, so that the result is far below zero.
 
     Args:
-        off: by what the path strays from the chord.
+        off: how far the path is off the chord.
     """
     e_p, e_v, e_speed = off
     ends = start, end
@@ -133,11 +134,11 @@ def between(start: Tensor, end: Tensor, off: Strays, c: Limits, free: FreeFlight
     sag = (2 * norm(end[V] - start[V]) * eta + 3 * fastest * eta**2) / 8 + e_v + fastest * e_p / nearest
 
     def braking(z: Tensor) -> Tensor:
-        """sqrt(2 a_max z) in m/s."""
+        """Returns sqrt(2 a_max z) in m/s."""
         return torch.where(z > 0.0, (2 * c.max_acceleration * z.clamp(min=0.0)).sqrt(), -NEVER)
 
     def above_planes() -> Tensor:
-        """sqrt(2 a_max z) + n . v in m/s of the plane where the least of both ends is largest."""
+        """Returns sqrt(2 a_max z) + n . v in m/s for the plane whose smaller value of both ends is largest."""
         planes = planes_of(c, start)
         each = [braking(planes.above(y[P][:, None]) - e_p) + planes.along(y[V][:, None]) for y in ends]
         return torch.minimum(*each).amax(0)
@@ -169,7 +170,7 @@ def clearance(
     c: Limits,
     free: FreeFlight,
 ) -> Tensor:
-    """The least clearance in m of all free flights that begin between two nodes, over the horizon: (...)."""
+    """Returns a lower bound in m of the clearance of all free flights that begin between two nodes: (...)."""
     cell, times = free.times(start, c)
     corners = [free_flight(y[P], y[V], t, c.mean_motion) for y in (start, end) for t in times]
     nearest = nearer(corners[0] + corners[2], corners[1] + corners[3]) / 2
@@ -187,13 +188,13 @@ def clearance(
 
 
 def nearer(first: Tensor, last: Tensor) -> Tensor:
-    """The point next to the origin between two points (3, ...)."""
+    """Returns the point closest to the origin between two points (3, ...)."""
     chord = last - first
     return first + share(first, chord) * chord
 
 
 def least_along(direction: Tensor, points: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-    """Of points (3, ...) the one that is least far along a direction (3, ...), and how far that is (...)."""
+    """Returns the point (3, ...) that is least far along a direction (3, ...), and how far it is (...)."""
     best, least = points[0], dot(direction, points[0])
     for point in points[1:]:
         along = dot(direction, point)
@@ -210,17 +211,17 @@ def strays(
     position: Tensor | float = 0.0,
     velocity: Tensor | float = 0.0,
 ) -> Strays:
-    """Of a hold, from its nodes (6, ...).
+    """Returns the strays of a hold from its nodes (6, ...).
 
-    Thrust is fixed in the body. Of a body that turns at w at most, a thrust of a m/s^2 deviates from its mean over t
-    by a w |s - t/2|, across it, and by a w^2 (s - t/2)^2 / 2 along it. So the velocity strays from its chord across
-    thrust by e = a w t^2 / 8 and along it by a w^2 t^3 / 60 at most, also where the plant holds the rates on the way,
-    and |v| by (e |v across thrust| + e^2 / 2) / |v| and that. A position under a steady acceleration strays from its
-    chord by |dv| t / 8.
+    Thrust is fixed in the body. If the body turns at w at most, a thrust of a m/s^2 deviates from its mean over t by a
+    w |s - t/2| across the mean, and by a w^2 (s - t/2)^2 / 2 along it. So the velocity is off its chord by at most e =
+    a w t^2 / 8 across thrust and a w^2 t^3 / 60 along it, also where the plant clamps the rates on the way. |v| is off
+    by (e |v across thrust| + e^2 / 2) / |v|, plus the part along thrust. A position under a steady acceleration is off
+    its chord by |dv| t / 8.
 
     Args:
         seconds: between the nodes; thrust: its mean in m/s^2, (3, ...); turn: rad/s, (...).
-        position, velocity: m and m/s, by which the nodes may be elsewhere already.
+        position, velocity: m and m/s, how far the nodes themselves may be off.
     """
     push = norm(thrust)
     direction = thrust / push.clamp(min=1e-12)
@@ -236,6 +237,6 @@ def strays(
 
 
 def lowest(parts: Tensor) -> Tensor:
-    """(k, ...) to (...), in operations that fuse; NaN is below everything."""
+    """Returns the smallest entry, (k, ...) to (...), in operations that fuse; NaN is below everything."""
     least = parts.amin(0)
     return torch.where(least.isnan(), -math.inf, least)

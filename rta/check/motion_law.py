@@ -1,17 +1,17 @@
-"""The backup law of thrust: brake, then hover. In every attitude thrust can push into any direction with max_thrust.
+"""The backup law of thrust: brake, then hover. In every attitude thrust can push in any direction with max_thrust.
 
-The law is a function of the state. In the mean over each hold of T s the spacecraft is to be accelerated by A. Natural
-acceleration f is cancelled, at the middle of the hold, so thrust gives G = A - f in m/s^2, |G| at most max_thrust / m.
-With w = v - v_ref(p), of a field of velocities that is zero but beside the chief (outwards) and at the edge of the zone
-(inwards),
+The law is a function of the state. The spacecraft's mean acceleration over each hold of T s is to be A. Thrust cancels
+the natural acceleration f in the middle of the hold. So it gives G = A - f in m/s^2, with |G| at most max_thrust / m.
+Let w = v - v_ref(p). The field of velocities v_ref is zero, except beside the chief (outwards) and at the edge of the
+zone (inwards).
 
-    straight            A = -w / |w| min(a, |w| / T), a being what is left of thrust where f is strongest. The path is
+    straight            A = -w / |w| min(a, |w| / T), with a the thrust that is left where f is strongest. The path is
                         straight, |w| falls by a T in each hold, and is zero after the last.
-    along the zone      where a straight path would end beyond it: inwards as much as keeps r below r_max,
-                        N = v_t^2 / r + v_r^2 / (2 (r_max - r)), what is left of |G| against v_t. N does not rise on it:
-                        with r'' = v_t^2 / r - N the second term stays as it is, and the first falls with v_t.
+    along the zone      where a straight path would end beyond the zone: inwards as much as keeps r below r_max,
+                        N = v_t^2 / r + v_r^2 / (2 (r_max - r)); the rest of |G| brakes v_t. N does not rise on this
+                        path: with r'' = v_t^2 / r - N the second term is constant, and the first falls with v_t.
 
-The body turns while thrust is held, so commands are of the mean attitude of the hold (`thrust_along`).
+The body turns while thrust is held, so commands are for the mean attitude of the hold (`thrust_along`).
 """
 
 import math
@@ -27,24 +27,24 @@ from inspection.model.parameters import Limits
 from inspection.model.rk4 import rk4_step
 from inspection.model.state import OMEGA, P, Q, V
 
-INSIDE = 1.0  # m, of the zone, where a straight path ends at the farthest
-SPARE = 0.997  # of thrust, used along the zone; the rest is for the change of f along the path, 2 n a T / 2
-SURPLUS = 1.02  # of N, for what a hold and rounding leave out of it
-DRIFT = 0.02  # m/s, of the field beside the chief and at the edge of the zone
-STEEP = 5e-4  # 1/s, by which it falls off with distance, and rises beyond either limit
-BACK = 0.1  # m/s more, beyond a limit at most
-BESIDE = 4.0 / 3.0  # of the radius of collision, up to which it leads outwards
+INSIDE = 1.0  # m, smallest distance inside the zone's edge at which a straight path ends
+SPARE = 0.997  # share of thrust along the zone; the rest is for the change of f on the path, 2 n a T / 2
+SURPLUS = 1.02  # factor of N, for errors of a hold and rounding
+DRIFT = 0.02  # m/s, the field's speed beside the chief and at the edge of the zone
+STEEP = 5e-4  # 1/s, slope by which the field falls off with distance, and rises beyond either limit
+BACK = 0.1  # m/s, the field's largest additional speed beyond a limit
+BESIDE = 4.0 / 3.0  # distance up to which the field leads outwards, in collision radii
 
 
 @dataclass(frozen=True)
 class Braking:
-    """What the law depends on.
+    """Holds the constants of the law.
 
     Attributes:
         hold: T in s; thrust: the largest |G|; straight: a, both in m/s^2.
-        mean_error: share of |G| by which the mean over a hold differs from the one wanted.
-        buffer: m, of the zone, for how far a path strays in a hold.
-        fastest: m/s, that the limits allow anywhere.
+        mean_error: share of |G| by which the mean over a hold differs from the wanted one.
+        buffer: m, kept from the zone's edge because a path strays in a hold.
+        fastest: m/s, the largest speed within the limits.
     """
 
     c: Limits
@@ -57,7 +57,11 @@ class Braking:
 
     @classmethod
     def of(cls, c: Limits, hold: float, slewing: float) -> "Braking":
-        """`slewing`: rad/s, at which the law of torque turns a body at most."""
+        """Computes the constants.
+
+        Args:
+            slewing: rad/s, the largest rate of a body under the law of torque.
+        """
         half = math.sqrt(3.0) * c.max_rate * hold / 2
         quickening = math.sqrt(3.0) * min(c.max_torque / min(c.inertia), 2 * c.max_rate / hold)
         off_mean = half**2 / 6 + quickening * hold**2 / 24  # |1 - M R_m'|, see `thrust_along`
@@ -71,7 +75,7 @@ class Braking:
 
 
 def field(p: Tensor, c: Limits) -> Tensor:
-    """v_ref (3, ...) in m/s at positions (3, ...) in m."""
+    """Returns v_ref (3, ...) in m/s at positions (3, ...) in m."""
     r = norm(p).clamp(min=1e-3)
     beside, edge = BESIDE * c.collision_radius, c.max_distance - INSIDE
     out = (DRIFT - STEEP * (r - beside)).clamp(0.0, DRIFT)
@@ -82,7 +86,7 @@ def field(p: Tensor, c: Limits) -> Tensor:
 
 
 def planned(p: Tensor, v: Tensor, w: Braking) -> Tensor:
-    """The law: G (3, ...) in m/s^2 in Hill's frame, at positions and velocities (3, ...)."""
+    """Returns the law: G (3, ...) in m/s^2 in Hill's frame, at positions and velocities (3, ...)."""
     c, t = w.c, w.hold
     off = v - field(p, c)
     speed_error = norm(off)
@@ -106,7 +110,7 @@ def planned(p: Tensor, v: Tensor, w: Braking) -> Tensor:
     f = natural(straight)
     f_r, f_t = dot(f, outwards), dot(f, ahead)
     across_both = f - f_r * outwards - f_t * ahead
-    most = ((SPARE * w.thrust) ** 2 - dot(across_both, across_both)).sqrt()  # f is another along another path
+    most = ((SPARE * w.thrust) ** 2 - dot(across_both, across_both)).sqrt()  # SPARE: f depends on the path
     inwards = torch.minimum(needed + f_r, most)
     left = (most**2 - inwards**2).clamp(min=0.0).sqrt()
     back = torch.minimum(tangential / t + f_t, left)
@@ -119,15 +123,15 @@ def planned(p: Tensor, v: Tensor, w: Braking) -> Tensor:
 
 
 def brake(x: Tensor, torque: Tensor, w: Braking) -> Tensor:
-    """The law as thrust (3, B) in N, in the body, at states (16, B) while torque (3, B) is held."""
+    """Returns the law as thrust (3, B) in N, in the body, at states (16, B) while torque (3, B) is held."""
     return thrust_along(planned(x[P], x[V], w), x, torque, w)
 
 
 def thrust_along(acceleration: Tensor, x: Tensor, torque: Tensor, w: Braking) -> Tensor:
-    """Returns thrust (3, B) in N whose mean over a hold is an acceleration G (3, B) in m/s^2; torque (3, B) is held.
+    """Returns thrust (3, B) in N whose mean over a hold of torque (3, B) is an acceleration G (3, B) in m/s^2.
 
-    Of a body that turns over the hold by R(s), with the mean M of Simpson's rule and R_m in the middle, M R_m' is 1 to
-    second order. So u = m R_m' (2 - M R_m') G leaves the fourth.
+    The body turns over the hold by R(s), with the mean M by Simpson's rule and R_m in the middle. M R_m' is 1 to second
+    order. So u = m R_m' (2 - M R_m') G has an error of fourth order.
     """
     middle = attitude_after(x, torque, w.hold / 2, w.c)
     end = attitude_after(x, torque, w.hold, w.c)
@@ -140,7 +144,7 @@ def thrust_along(acceleration: Tensor, x: Tensor, torque: Tensor, w: Braking) ->
 
 
 def attitude_after(x: Tensor, torque: Tensor, seconds: float, c: Limits) -> Tensor:
-    """The quaternion (4, B) after torque (3, B) has acted for some s, by one step with rates within their limits."""
+    """Returns the quaternion (4, B) after torque (3, B) has acted for some s, by one step with rates within limits."""
     limit = c.max_rate
 
     def rate(y: list[Tensor]) -> list[Tensor]:

@@ -1,10 +1,10 @@
-"""The check of a plant that is the model: a control is applied if the flight that would follow keeps all limits.
+"""The check of a plant that is the model: a control is applied if the trajectory after it satisfies all limits.
 
-A control is held, and after it both backup laws are flown, in the plant's own steps, until the spacecraft is in a set
-that they never leave. If every limit is kept on this flight, the control is applied; if not, the nearest that leads to
-such a flight, on the way from it to the law's; at last the laws' own, whose flight was looked at one call ago. The
-state at the next call lies on that flight, so no limit is ever violated in the model (docs/reference/proof.md). A limit
-that is violated already is not asked for; the others are.
+The control is held. Then both backup laws are simulated, in the plant's own steps, until the spacecraft is in a set
+that they never leave. If every limit is satisfied on this trajectory, the control is applied. If not, the first control
+on the way to the law's with such a trajectory is applied. The last candidate is the laws' own control, whose trajectory
+was checked one call ago. The state at the next call lies on the checked trajectory, so no limit is ever violated in the
+model (docs/reference/proof.md). A limit that is violated already is not checked; the others are.
 """
 
 import math
@@ -24,11 +24,11 @@ from rta.check.motion_law import Braking, brake
 from rta.check.terminal_set import TerminalSet
 from rta.names import PAPERS
 
-KEPT = 1e-9  # in the unit of each limit, m/s, m, rad, deg C, kJ, rad/s: what rounding may take
-GLANCE = 4.0  # s of a flight, between two looks `at_once` at all that is left of it
-# A group's flight ends where these entries of `TerminalSet.room` are >= 0. An entry is skipped where one of its EXCUSED
-# limits is broken already.
-ENDS = {0: (0, 3, 4), 1: (0, 1, 2)}  # of thrust, of torque
+KEPT = 1e-9  # margin for rounding in the unit of each limit: m/s, m, rad, deg C, kJ, rad/s
+GLANCE = 4.0  # s of a simulated trajectory between two tests `at_once` of the rest of it
+# A group's trajectory ends where these entries of `TerminalSet.room` are >= 0. An entry is skipped where one of its
+# EXCUSED limits is violated already.
+ENDS = {0: (0, 3, 4), 1: (0, 1, 2)}  # for thrust, for torque
 EXCUSED = {
     entry: tuple(map(PAPERS.index, names))
     for entry, names in {
@@ -40,16 +40,17 @@ EXCUSED = {
 
 
 class NominalCheck(Check):
-    """The check of a filter whose plant is the model.
+    """Checks controls for a plant that is the model.
 
     Args:
         c: the model and the limits; period: s, that a control is held.
 
     Attributes:
-        max_periods: holds of a flight at most; glances: holds between two looks `at_once`.
+        max_periods: the most holds of a trajectory; glances: holds between two tests `at_once`.
 
     Raises:
-        NoCheckError: no terminal set is known. One needs a circular orbit, and an attitude that cools and charges.
+        NoCheckError: no terminal set is known. One needs Hill's rotation left out, and an attitude that cools and
+            charges.
     """
 
     FIXED = ("c", "pointing", "braking", "terminal", "flight", "early_accept", "max_periods", "glances")
@@ -62,7 +63,7 @@ class NominalCheck(Check):
             raise NoCheckError(
                 "there is no attitude of rest: panels must be on -x, the thermal side across them"
             )
-        # A verified hold keeps the body rates itself, so that no flight depends on how the plant holds them.
+        # A verified hold satisfies the rate limits, so no trajectory depends on the plant's clamp of the rates.
         self.c = c = replace(c, saturate_rates=False)
         self.pointing = Pointing.of(c, period)
         self.braking = Braking.of(c, period, self.pointing.fastest)
@@ -74,53 +75,53 @@ class NominalCheck(Check):
         longest = max(self.early_accept.arrives, braking)
         self.max_periods = self.glances * math.ceil(longest / (self.glances * period))
 
-    # what a flight is made of
+    # parts of a trajectory
 
     def torque(self, x: Tensor) -> Tensor:
-        """The law's torque (3, B) in N m at states (16, B)."""
+        """Returns the law's torque (3, B) in N m at states (16, B)."""
         return call(slew, x, self.pointing)
 
     def thrust(self, x: Tensor, torque: Tensor) -> Tensor:
-        """The law's thrust (3, B) in N at states (16, B) while torque (3, B) is held."""
+        """Returns the law's thrust (3, B) in N at states (16, B) while torque (3, B) is held."""
         return call(brake, x, torque, self.braking)
 
     def hold(self, x: Tensor, u: Tensor, asked: Tensor) -> tuple[Tensor, Tensor]:
-        """`hold` of the plant's steps."""
+        """Returns `hold` in the plant's steps."""
         return call(hold, x, u, asked, self.flight)
 
     def at_once(self, x: Tensor) -> Tensor:
-        """A lower bound of each limit on the laws' flight from states (16, B), by one look: (11, B)."""
+        """Returns a lower bound of each limit on the backup trajectory from states (16, B), by one test: (11, B)."""
         return call(at_once, x, self.early_accept, long=if_long(len(self.c.planes)))
 
     # the check
 
     def fit(self, y: Tensor, h: Tensor) -> tuple[Tensor, Tensor]:
-        """States (16, B) that are not possible cannot be checked."""
+        """Returns violated limits (11, B) and checkable groups (2, B), see `Check`: impossible states have none."""
         rates = (h[MOTION + ATTITUDE :] >= 0.0).all(0, keepdim=True)
         broken = ~torch.cat((h[: MOTION + ATTITUDE] >= 0.0, rates))
         return broken, is_state(y, self.c).repeat(2, 1)
 
     def has_backup_trajectory(self, x: Tensor) -> Tensor:
-        """(B,) bool: from states (16, B) the laws keep all limits for good."""
+        """Checks whether the laws satisfy all limits for good from states (16, B), (B,) bool."""
         none, both = torch.zeros_like(x[:LIMITS], dtype=torch.bool), torch.ones_like(x[:2], dtype=torch.bool)
         return self.fly(x, none, both).all(0)
 
     def fly(self, x: Tensor, broken: Tensor, asked: Tensor) -> Tensor:
-        """(2, B) bool: the laws' flight from states (16, B) keeps the limits of thrust, of torque that are not broken.
+        """Checks whether the laws' trajectory from states (16, B) satisfies the limits of each group, (2, B) bool.
 
         Args:
-            broken: (11, B) bool, limits that are not asked for.
-            asked: (2, B) bool, the groups whose limits matter; of the other one nothing is said.
+            broken: (11, B) bool, limits that are violated already and not checked.
+            asked: (2, B) bool, the groups whose limits are checked; the result is undefined for the others.
         """
         alive, found = ended(asked, ~asked, self.kept(self.at_once(x), broken))
         legs = self.max_periods // self.glances
         return loop(self.leg, [x, alive, found], broken, alive=alive.any(0), most=legs, waits=True)[2]
 
     def leg(self, x: Tensor, alive: Tensor, found: Tensor, broken: Tensor) -> tuple[list[Tensor], Tensor]:
-        """Some holds of the laws, and a look at all that is left.
+        """Simulates some holds of the laws, and tests the rest of the trajectory at once.
 
         Args:
-            alive: (2, B) flights that have kept their limits and not ended; found: those that ended well.
+            alive: (2, B) trajectories that satisfied their limits and have not ended; found: those that ended safely.
         """
         state = [x, alive, found]
         x, alive, found = loop(self.held, state, broken, alive=alive.any(0), most=self.glances)
@@ -128,30 +129,30 @@ class NominalCheck(Check):
         return [x, alive, found], alive.any(0)
 
     def held(self, x: Tensor, alive: Tensor, found: Tensor, broken: Tensor) -> tuple[list[Tensor], Tensor]:
-        """Flies a hold of the laws, for flights that have not arrived."""
+        """Simulates a hold of the laws, for trajectories that have not arrived."""
         alive, found = ended(alive, found, self.arrived(x, broken))
         x, alive = when(alive.any(0), self.hold_of_laws, [x, alive], x, alive, broken)
         return [x, alive, found], alive.any(0)
 
     def hold_of_laws(self, x: Tensor, alive: Tensor, broken: Tensor) -> list[Tensor]:
-        """The states after a hold of both laws, and the flights (2, B) that have kept their limits in it."""
+        """Returns the states after a hold of both laws, and the trajectories (2, B) within their limits in it."""
         x, least = self.hold(x, self.law(x), alive[0])
         return [x, alive & self.kept(least, broken)]
 
     def is_safe(self, x: Tensor, u: Tensor, broken: Tensor, asked: Tensor) -> Tensor:
-        """(2, B) bool: a hold of controls (6, B) and the laws' flight after it keep the limits, as `fly`."""
+        """Checks a hold of controls (6, B) and the laws' trajectory after it, (2, B) bool, as `fly`."""
         end, least = self.hold(x, u, asked[0])
         kept = self.kept(least, broken)
         return kept & self.fly(end, broken, asked & kept)
 
     @staticmethod
     def kept(least: Tensor, broken: Tensor) -> Tensor:
-        """(2, B) bool: the least of each limit (11, B) is not negative, of thrust and of torque, or it is broken."""
-        fine = (least >= KEPT) | broken  # NaN is not
+        """Checks per group whether all bounds (11, B) are at least KEPT or their limit is `broken`, (2, B) bool."""
+        fine = (least >= KEPT) | broken  # NaN fails
         return torch.stack((fine[:MOTION].all(0), fine[MOTION:].all(0)))
 
     def arrived(self, x: Tensor, broken: Tensor) -> Tensor:
-        """(2, B) bool: states (16, B) are where the laws stay, of thrust and of torque; `broken` as of `fly`."""
+        """Checks for each group whether states (16, B) are in the terminal set, (2, B) bool; `broken` as in `fly`."""
         room = call(self.terminal.room, x, long=if_long(len(self.c.planes)))
         inside = list((room >= 0.0).unbind())
         for entry, limits in EXCUSED.items():
@@ -159,17 +160,17 @@ class NominalCheck(Check):
         return torch.stack([torch.stack([inside[i] for i in ENDS[group]]).all(0) for group in range(2)])
 
     def followed(self, x: Tensor, u: Tensor, broken: Tensor) -> list[Tensor]:
-        """Has both groups follow their laws where that is safe: a call ago it was flown."""
+        """Returns both laws' controls where they are safe, as checked a call ago, else u; and where they are safe."""
         safe = self.fly(x, broken, torch.ones_like(x[:2], dtype=torch.bool)).all(0)
         return [torch.where(safe, self.law(x), u), safe]
 
 
 def at_once(x: Tensor, early_accept: EarlyAccept) -> Tensor:
-    """A lower bound of each limit on the laws' flight from states (16, B), by one look: (11, B)."""
+    """Returns a lower bound of each limit on the laws' trajectory from states (16, B), by one test: (11, B)."""
     return torch.cat((early_accept.motion(x), early_accept.attitude(x)))
 
 
 def ended(alive: Tensor, found: Tensor, well: Tensor) -> tuple[Tensor, Tensor]:
-    """Moves the flights in `well` from `alive` to `found`; returns both, (2, B) bool."""
+    """Moves the trajectories in `well` from `alive` to `found`; returns both, (2, B) bool."""
     found = found | (alive & well)
     return alive & ~found, found

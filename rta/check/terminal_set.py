@@ -1,12 +1,12 @@
-"""The set in which a flight of the backup laws ends, and which they never leave: certified once per configuration.
+"""The terminal set: backup trajectories end in it, and the laws never leave it. It is certified once per configuration.
 
-Attitude: with a = d x s + sin(psi) d of `attitude_law.rest_deviation`, and w the body's rate relative to the Sun, a
-hold takes (a, T w) to M (a, T w) and an error, with z = kappa T and
+Attitude: let a = d x s + sin(psi) d of `attitude_law.rest_deviation`, and w the body's rate relative to the Sun. A hold
+takes (a, T w) to M (a, T w) plus an error, with z = kappa T and
 
     M = [1 - z / 2, -1/2; z, 0],        M' P M - P = -1,        V = (a, T w)' P (a, T w).
 
-Where V <= R^2 the error is small enough that V <= R^2 after the hold, too (`cone`). Motion: |v - v_ref(p)| <= CALM and
-nearest <= |p| <= r_max; a hold leaves less than that of it (`TerminalSet.of`), and the field leads away from both ends.
+Where V <= R^2 the error is so small that V <= R^2 after the hold, too (`cone`). Motion: |v - v_ref(p)| <= CALM and
+nearest <= |p| <= r_max. A hold leaves less than CALM (`TerminalSet.of`), and the field leads away from both ends.
 """
 
 import math
@@ -27,14 +27,14 @@ from rta.check.intersample_bounds import FreeFlight, least_stretch
 from rta.check.motion_law import BESIDE, DRIFT, INSIDE, STEEP, Braking, field
 
 CALM = 2e-3  # m/s
-AROUND = 1.2  # of it, between calls
-WIDEST, PARTS = 0.1, 200  # rad, of R at most, and how many smaller ones are tried
-GRID = 4000, 100  # distances and times at which free flight is looked at
+AROUND = 1.2  # factor of CALM between calls
+WIDEST, PARTS = 0.1, 200  # largest R in rad, and how many equally spaced values up to it are tried
+GRID = 4000, 100  # numbers of distances and times at which free flight is computed
 
 
 @dataclass(frozen=True)
 class TerminalSet:
-    """Where a flight ends.
+    """Describes the set in which a backup trajectory ends.
 
     Attributes:
         quadratic: P, by its entries 11, 12 and 22; radius: R.
@@ -52,13 +52,13 @@ class TerminalSet:
 
     @property
     def leaves(self) -> float:
-        """s, that the field takes from where the bodies touch to `nearest` at most."""
+        """Returns the longest time in s that the field takes from contact with the chief to `nearest`."""
         return (self.nearest - self.c.least_distance) / (DRIFT - CALM)
 
     @classmethod
     @cache
     def of(cls, pointing: Pointing, braking: Braking) -> "TerminalSet":
-        """Raises NoCheckError."""
+        """Certifies the set; raises NoCheckError if that fails."""
         c, hold = pointing.c, pointing.hold
         if not (pointing.rate > 0.0 and 0.0 < pointing.kappa * hold < 1.0):
             raise NoCheckError("torque is too weak for the body's rates")
@@ -72,7 +72,7 @@ class TerminalSet:
         return cls(c, hold, quadratic, radius, hottest, emptiest, nearest(c), c.max_distance)
 
     def room(self, x: Tensor) -> Tensor:
-        """Not negative where states (16, ...) are in the set: of the cone, heat, charge, speed and place, (5, ...)."""
+        """Returns margins (5, ...) of cone, heat, charge, speed, place; all >= 0 where x (16, ...) is in the set."""
         axis, off, cosine = rest_deviation(x, self.c)
         turn = self.hold * (x[OMEGA] + self.c.mean_motion * rotation_matrix(x[Q])[2])
         d = -turn[0]  # of the panels' axis, -x
@@ -92,7 +92,7 @@ class TerminalSet:
 
 
 def lyapunov(z: float) -> tuple[tuple[float, float, float], float]:
-    """P as of `TerminalSet`, and by what sqrt(V) is multiplied in a hold at most."""
+    """Returns P as in `TerminalSet`, and the largest factor of sqrt(V) in a hold."""
     m = torch.tensor([[1 - z / 2, -0.5], [z, 0.0]], dtype=torch.float64)
     kron = torch.kron(m.T, m.T) - torch.eye(4, dtype=torch.float64)
     p = torch.linalg.solve(kron, -torch.eye(2, dtype=torch.float64).flatten()).reshape(2, 2)
@@ -102,13 +102,13 @@ def lyapunov(z: float) -> tuple[tuple[float, float, float], float]:
 
 
 def hold_error(w: Pointing, angle: float, rate: float) -> tuple[float, float, float]:
-    """By how much a hold's end differs at most from M (a, T w), while |a| <= sin(angle) and |w| <= rate.
+    """Returns bounds of the errors at a hold's end compared with M (a, T w), while |a| <= sin(angle) and |w| <= rate.
 
-    Of a; of T w; and of w by what torque does not count on, in rad/s.
+    They are errors of a, of T w, and in rad/s of w from effects that torque does not count on.
 
-    In a hold a changes by -w but for |w| g, as d x s does by -w cos(delta) + s (d . w) and psi by -d . w but for
-    tan(delta / 2) |w|. At its end w is kappa a but for how the body has rolled, for gyroscopic accelerations, which
-    change, and for how n z has turned.
+    In a hold a changes by -w, up to |w| g, because d x s changes by -w cos(delta) + s (d . w) and psi by -d . w, up to
+    tan(delta / 2) |w|. At the hold's end w is kappa a, except for the body's roll, for gyroscopic accelerations, which
+    change, and for the turn of n z.
     """
     c, t, n = w.c, w.hold, w.c.mean_motion
     spin, far = most_gyroscopic(c.inertia), angle + rate * t
@@ -119,7 +119,7 @@ def hold_error(w: Pointing, angle: float, rate: float) -> tuple[float, float, fl
 
 
 def cone(w: Pointing, quadratic: tuple[float, float, float], contracts: float) -> tuple[float, float, float]:
-    """The largest R that the law keeps, with rad from rest and rad/s relative to the Sun in it at most."""
+    """Returns the largest R that the law does not leave, and the largest rad from rest and rad/s in it."""
     c, t, kappa = w.c, w.hold, w.kappa
     p = torch.tensor([[quadratic[0], quadratic[1]], [quadratic[1], quadratic[2]]], dtype=torch.float64)
     inverse, most = torch.linalg.inv(p), torch.linalg.eigvalsh(p)[-1].item()
@@ -144,9 +144,10 @@ def cone(w: Pointing, quadratic: tuple[float, float, float], contracts: float) -
 
 
 def resources(far: float, c: Limits) -> tuple[float, float, bool]:
-    """deg C and kJ, up to and from which the limits are kept so many rad from rest, and whether that stays so there.
+    """Returns the highest temperature in deg C and lowest energy in kJ that satisfy the limits `far` rad from rest.
 
-    The cooled axis is across d, so the Sun shines on it along sin(delta); from z it is delta and psi away.
+    Also returns whether they then do so for good. The cooled axis is across d, so the Sun shines on it along
+    sin(delta); the axis is delta and psi away from z.
     """
     aside = math.sqrt(2.0) * far
     hottest = c.max_temperature - c.temperature_sun_slope * far - c.temperature_earth_slope * aside
@@ -156,10 +157,10 @@ def resources(far: float, c: Limits) -> tuple[float, float, bool]:
 
 
 def leftover(w: Braking, rate: float) -> float:
-    """m/s, that a hold in the set leaves of v - v_ref at most, the body turning by so many rad/s relative to the Sun.
+    """Returns the largest |v - v_ref| in m/s that a hold in the set leaves; `rate` is the body's to the Sun in rad/s.
 
-    What `thrust_along` leaves of G, and Simpson's rule, with an angular acceleration up to 2 w / T; what f changes by
-    where turning thrust leads to another place; and how the field changes on the path.
+    It consists of the error of `thrust_along` in G, and of Simpson's rule, with an angular acceleration up to 2 w / T;
+    of the change of f where turning thrust leads to another place; and of the change of the field on the path.
     """
     c, t, n = w.c, w.hold, w.c.mean_motion
     turned = (rate + n) * t
@@ -177,10 +178,10 @@ def leftover(w: Braking, rate: float) -> float:
 
 
 def nearest(c: Limits) -> float:
-    """m from the chief, from where on all limits of motion are kept at speeds that are v_ref but for CALM.
+    """Returns the distance in m from the chief from which on velocities within CALM of v_ref satisfy all limits.
 
-    Free flight is (Phi_rr + s / r Phi_rv) p + Phi_rv w with the field's speed s. The first part is at least its least
-    singular value times r.
+    Free flight is (Phi_rr + s / r Phi_rv) p + Phi_rv w with the field's speed s. The length of the first part is at
+    least its least singular value times r.
     """
     count, moments = GRID
     beside, most, touching = BESIDE * c.collision_radius, AROUND * CALM, farthest(c)
@@ -195,7 +196,7 @@ def nearest(c: Limits) -> float:
     )
     gap = (r[1] - r[0]).item()
     bend = (free.bend_position * r + free.bend_velocity * (speed.abs() + most)) * times[1] ** 2 / 8
-    # between two times the chord passes nearer than both its ends
+    # between two times the chord passes closer than both of its ends
     bend = bend + (times[1] * (3 * c.mean_motion * r + 2 * (speed.abs() + most))) ** 2 / (8 * r)
     lost = gap * (free.position + free.velocity * c.passive_safety_horizon * (2 * STEEP + DRIFT / beside))
     outwards = (2 * c.max_acceleration * (c.max_distance - r).clamp(min=0.0)).sqrt()
@@ -203,7 +204,7 @@ def nearest(c: Limits) -> float:
     limit = (c.docking_speed + c.speed_slope * r).clamp(max=c.max_speed)
     fine = (clear - bend - lost >= touching) & (limit >= speed.abs() + most)
     fine &= (outwards >= speed + most) & (inwards >= most - speed)
-    height = c.least_distance * (r / touching - 1.0)  # above one of a hull's planes, at least
+    height = c.least_distance * (r / touching - 1.0)  # smallest height above one of a hull's planes
     away = torch.where(speed > 0.0, speed * c.least_distance / touching, speed)
     fine &= (2 * c.max_acceleration * height.clamp(min=0.0)).sqrt() >= most - away
     bad = torch.nonzero(~fine[:-1]).flatten()

@@ -1,6 +1,6 @@
 """The filter's programs by the dual active-set method of Goldfarb and Idnani (1983), for any batch.
 
-For three controls u in units of their actuators' limits, with the bounds among the rows,
+For three controls u in units of their actuators' limits, with the bounds among the conditions (rows),
 
     minimise |u - u_des|^2 / 2 + sum_i w_i delta_i^2 / 2   subject to   a_i u + b_i + delta_i >= 0.
 
@@ -8,16 +8,16 @@ The method starts at u_des clipped to the bounds; bounds that u_des exceeds are 
 row becomes active, or an active row whose multiplier has fallen to zero leaves. The method ends when no row is violated
 (optimal), or when the active rows exclude the next one (infeasible).
 
-An active row with slack has delta_i = -(a_i u + b_i), and the multiplier w_i delta_i. It restricts no control, but
-adds its cost to the Hessian,
+An active row with slack has delta_i = -(a_i u + b_i), and the multiplier w_i delta_i. It restricts no control, but adds
+its cost to the Hessian,
 
     H = 1 + sum_i w_i a_i a_i'   over active rows with slack.
 
 Active rows that must hold are independent normals in three dimensions, so three places suffice for them. With H = L L'
 the method's N* and z are those of the normals L^-1 a_i, orthonormalised.
 
-Large weights let rows yield where they conflict, and nowhere else: first all rows must hold; only where that is
-infeasible they have their slack.
+With large weights, rows use slack only where they conflict. So at first all rows must hold; only where that is
+infeasible they get their slack.
 """
 
 from collections.abc import Sequence
@@ -33,17 +33,17 @@ from rta.result import Status
 ACCURATE = 1e-8  # largest KKT residual of a program that counts as solved
 VIOLATED = 1e-12  # a row is violated below minus this, in units of the actuators' limits
 DEPENDENT = 1e-16  # |z|^2 / |a|^2 up to which a row counts as a combination of the active ones
-BLOCKING = 1e-12  # fall of a multiplier per unit of pressure that counts as none
-NEGATIVE = 1e-9  # by which a multiplier is below zero that counts as negative
-ATTEMPTED = 3  # steps of all programs at once, one for each row that becomes active or leaves
-MOST_STEPS = 100  # of a stage; what takes more counts as unsolved
+BLOCKING = 1e-12  # a smaller fall of a multiplier per unit of pressure counts as zero
+NEGATIVE = 1e-9  # a multiplier below minus this counts as negative
+ATTEMPTED = 3  # steps of all programs at once; in each step a row becomes active or leaves
+MOST_STEPS = 100  # steps of a stage; a program that needs more counts as unsolved
 
 RUNNING, OPTIMAL, INFEASIBLE = 0, 1, 2
 Lower = list[list[Tensor]]  # L, its rows up to the diagonal
 
 
 class State(NamedTuple):
-    """N programs between two steps; rows are numbered from the bounds on.
+    """Holds N programs between two steps; rows are numbered from the bounds on.
 
     Attributes:
         u: (3, N). soft: (R, N) bool, active rows that have slack.
@@ -64,15 +64,16 @@ class State(NamedTuple):
 def solve(
     desired: Tensor, a: Tensor, b: Tensor, weight: Tensor, wanted: Tensor, attempted: int = ATTEMPTED
 ) -> tuple[Tensor, Tensor]:
-    """Solves programs where they are wanted, all at once, on their own device.
+    """Solves programs where `wanted` is true, all at once, on their own device.
 
     Args:
         desired: (3, N); a: (R, 3, N) rows of about unit length; b: (R, N).
         weight: (R, N) of slack, zero for rows that must hold; wanted: (N,) bool.
-        attempted: steps that every program takes first; those that need more go on in a loop that waits. 0: none.
+        attempted: steps that every program takes first; programs that need more continue in a loop that waits. 0: none.
 
     Returns:
-        Controls (3, N) and `Status` (N,). Zero where no solution is found; nothing is said where none is wanted.
+        Controls (3, N) and `Status` (N,). Controls are zero where no solution is found. The result is undefined where
+        `wanted` is false.
     """
     found = [torch.zeros_like(desired), torch.full_like(desired[0], Status.UNSOLVED, dtype=torch.int64)]
     if attempted:
@@ -83,20 +84,26 @@ def solve(
 
 
 def attempt(desired: Tensor, a: Tensor, b: Tensor, steps: int) -> list[Tensor]:
-    """Some steps of programs without slack, enough for nearly every one that is feasible; as `by_stages`."""
-    finite = (desired.sum(0) + b.sum(0)).isfinite()  # the residual shows neither
+    """Takes some steps of programs without slack, enough for nearly every feasible one.
+
+    Returns the same as `by_stages`.
+    """
+    finite = (desired.sum(0) + b.sum(0)).isfinite()  # the residual does not show NaN or infinity in these
     a, b = with_bounds(a, b)
     none, state = torch.zeros_like(b), begin(desired, len(b))
     for _ in range(steps):
         state, _ = step(*state, desired, a, b, none)
     u = state.u.clamp(-1.0, 1.0)
     residual = residual_of(u, multipliers(state, a, b, none), desired, a, b, none)
-    solved = (residual <= ACCURATE) & finite  # NaN is not
+    solved = (residual <= ACCURATE) & finite  # false for NaN
     return [torch.where(solved, u, 0.0), torch.where(solved, Status.HARD, Status.UNSOLVED)]
 
 
 def by_stages(desired: Tensor, a: Tensor, b: Tensor, weight: Tensor) -> list[Tensor]:
-    """Controls (3, N) and statuses (N,) of programs: without slack, then with it; zero where there is no solution."""
+    """Returns controls (3, N) and statuses (N,) of programs, without slack, then with it.
+
+    Controls are zero where there is no solution.
+    """
     finite = (desired.sum(0) + total(total(a, 0), 0) + b.sum(0)).isfinite()
     a, b = with_bounds(a, b)
     weight = torch.cat((weight.new_zeros(6, weight.shape[1]), weight))
@@ -108,7 +115,7 @@ def by_stages(desired: Tensor, a: Tensor, b: Tensor, weight: Tensor) -> list[Ten
 def stage(
     number: Tensor, control: Tensor, status: Tensor, desired: Tensor, a: Tensor, b: Tensor, weight: Tensor
 ) -> tuple[list[Tensor], Tensor]:
-    """Solves programs without slack (number 0) or with it (1); goes on where there is no solution."""
+    """Solves programs without slack (number 0) or with slack (1); continues where there is no solution."""
     steep = torch.where(number > 0, weight, 0.0)
     everywhere = torch.ones_like(number, dtype=torch.bool)
     state = State(
@@ -116,7 +123,7 @@ def stage(
     )
     u = state.u.clamp(-1.0, 1.0)
     off = residual_of(u, multipliers(state, a, b, steep), desired, a, b, steep)
-    # infeasible ones, too: of a row that only a corner of the bounds satisfies a last digit may be missed
+    # infeasible programs, too: rounding may miss a row that only a corner of the bounds satisfies
     solved = (state.outcome != RUNNING) & (off <= ACCURATE)
     control = torch.where(solved, u, control)
     status = torch.where(solved, torch.where(number > 0, Status.SLACK, Status.HARD), status)
@@ -124,28 +131,28 @@ def stage(
 
 
 def total(x: Tensor, dim: int) -> Tensor:
-    """The sum over a short dimension, added up in order: Tensor.sum may round otherwise in another batch."""
+    """Returns the sum over a short dimension, added up in order: Tensor.sum may round otherwise in another batch."""
     return reduce(torch.add, x.unbind(dim))
 
 
 def kkt_residual(
     u: Tensor, multiplier: Tensor, desired: Tensor, a: Tensor, b: Tensor, relief: Tensor
 ) -> Tensor:
-    """The largest violation of the optimality conditions of min |u - u_des|^2 / 2 + sum_i w_i delta_i^2 / 2.
+    """Returns the largest violation of the optimality conditions of min |u - u_des|^2 / 2 + sum_i w_i delta_i^2 / 2.
 
     With multipliers lambda of the rows, delta_i = lambda_i / w_i and s_i = a_i u + b_i + delta_i, they are
 
         stationarity       u = clip(u_des + sum_i lambda_i a_i, -1, 1), the bounds' multipliers eliminated
         primal             s_i >= 0
         dual               lambda_i >= 0
-        complementarity    min(lambda_i, 1) s_i = 0, since rounding of s_i times a large lambda_i says little
+        complementarity    min(lambda_i, 1) s_i = 0, since rounding of s_i times a large lambda_i is no violation
 
     Args:
         u, desired: (3, N); multiplier, b: (R, N); a: (R, 3, N).
         relief: (R, N), 1 / w_i, zero for rows without slack.
 
     Returns:
-        (N,) in units of the actuators' limits; NaN where an argument is.
+        (N,) in units of the actuators' limits; NaN where an argument is NaN.
     """
     s = total(a * u, 1) + b + multiplier * relief
     stationarity = u - (desired + total(a * multiplier[:, None], 0)).clamp(-1.0, 1.0)
@@ -154,16 +161,16 @@ def kkt_residual(
 
 
 def with_bounds(a: Tensor, *sides: Tensor) -> list[Tensor]:
-    """Rows (6 + R, 3, N) and sides (6 + R, N), those of the actuators' limits first."""
+    """Returns rows (6 + R, 3, N) and sides (6 + R, N), those of the actuators' limits first."""
     eye = torch.eye(3, dtype=a.dtype, device=a.device)
     bounds = torch.cat((eye, -eye))[..., None].expand(-1, -1, a.shape[-1])
     return [torch.cat((bounds, a)), *(torch.cat((b.new_ones(6, b.shape[1]), b)) for b in sides)]
 
 
 def begin(desired: Tensor, rows: int) -> State:
-    """The optimum within the bounds alone, of which those that desired (3, N) is beyond are active.
+    """Returns the optimum within the bounds alone; bounds that the desired control (3, N) exceeds are active.
 
-    Their multipliers are the excess. From u = u_des the steps would lose as many digits as it is large.
+    The multipliers of active bounds are the excess. Steps from u = u_des would lose digits in proportion to the excess.
     """
     within = desired.clamp(-1.0, 1.0)
     inwards = (within - desired).sign()  # the normals of the bounds
@@ -181,21 +188,21 @@ def begin(desired: Tensor, rows: int) -> State:
 
 
 def multipliers(state: State, a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
-    """Of all rows (R, N), active or not."""
+    """Returns the multipliers of all rows (R, N), active or not."""
     rows = torch.arange(len(a), device=a.device)[:, None, None]
     of_places = total(torch.where(state.row == rows, state.multiplier, 0.0), 1)
     return of_places + torch.where(state.soft, slack(state.u, a, b, weight), 0.0)
 
 
 def slack(u: Tensor, a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
-    """Multipliers w_i delta_i (R, N) of rows with slack that are active."""
+    """Returns the multipliers w_i delta_i (R, N) of active rows with slack."""
     return (-weight * (total(a * u, 1) + b)).clamp(min=0.0)
 
 
 def residual_of(
     u: Tensor, multiplier: Tensor, desired: Tensor, a: Tensor, b: Tensor, weight: Tensor
 ) -> Tensor:
-    """`kkt_residual` (N,) of rows after the bounds; weight: zero for those that must hold."""
+    """Returns `kkt_residual` (N,) of rows after the bounds; weight: zero for rows that must hold."""
     relief = torch.where(weight > 0.0, 1.0 / weight, 0.0)
     return kkt_residual(u, multiplier[6:], desired, a[6:], b[6:], relief[6:])
 
@@ -204,14 +211,17 @@ def step(
     u: Tensor, soft: Tensor, row: Tensor, multiplier: Tensor, entering: Tensor, pressure: Tensor, outcome: Tensor,
     desired: Tensor, a: Tensor, b: Tensor, weight: Tensor,
 ) -> tuple[State, Tensor]:  # fmt: skip
-    """Makes a row active, or an active row that blocks its way leave; returns (N,) bool, too: not finished.
+    """Makes a row active, or makes an active row that blocks its way leave.
 
     Args:
         u to outcome: a `State`; a: (R, 3, N) rows; b: (R, N); weight: (R, N) of rows that have slack, else zero.
+
+    Returns:
+        The next `State`, and (N,) bool, whether the program is not finished.
     """
     places = Places.of(cholesky(torch.where(soft, weight, 0.0), a), a, b, row)
 
-    # What rounding has brought into the optimum of the active rows is taken out.
+    # Remove rounding errors from the optimum of the active rows.
     lhs = total(a * u, 1) + b
     pushed = total(a * torch.where(soft, -weight * lhs, 0.0)[:, None], 0) + places.pushed(multiplier)
     pushed = pushed + take(a, entering) * pressure
@@ -226,14 +236,14 @@ def step(
     normal, own_side, own_weight = take(a, entering), take(b, entering), take(weight, entering)
     relief = torch.where(own_weight > 0.0, 1.0 / own_weight, 0.0)
 
-    # Per unit of the entering row's multiplier u moves along z, and multipliers fall: by r in places, by `fall` of
-    # slack.
+    # Per unit of the entering row's multiplier, u moves along z, and multipliers fall: by r in places, by `fall` of
+    # rows with slack.
     r, z, z2 = places.directions(normal)
     fall = weight * total(a * z, 1)
     z2 = z2 + relief
     is_free = z2 > DEPENDENT * (total(normal * normal, 0) + relief)
-    # How far until the entering row holds with equality, and until a multiplier is zero; one that rounding has made
-    # negative leaves at once.
+    # The step's length until the entering row holds with equality, and until a multiplier is zero; a multiplier that
+    # rounding has made negative leaves at once.
     force = -weight * lhs  # multipliers of rows with slack
     below, below_soft = multiplier < -NEGATIVE, soft & (force < -NEGATIVE)
     is_below = below.any(0) | below_soft.any(0)
@@ -268,11 +278,11 @@ def step(
 
 
 class Places(NamedTuple):
-    """Active rows that must hold: L^-1 of their normals, orthonormalised in turn. Zero in empty places.
+    """Holds active rows that must hold: L^-1 of their normals, orthonormalised in turn; zero in empty places.
 
     Attributes:
         lower: L; normals: (3, N) of each place; sides: (N,) of each; basis: (3, N) of each.
-        share: of each L^-1 normal, how much is along each basis vector up to its own.
+        share: for each L^-1 normal, its parts along the basis vectors up to its own.
     """
 
     lower: Lower
@@ -283,7 +293,7 @@ class Places(NamedTuple):
 
     @classmethod
     def of(cls, lower: Lower, a: Tensor, b: Tensor, row: Tensor) -> "Places":
-        """Of rows of a (R, 3, N) and b (R, N) by their indices (3, N)."""
+        """Returns the places of rows of a (R, 3, N) and b (R, N) by their indices (3, N)."""
         found = cls(lower, [], [], [], [])
         for index in row.unbind():
             normal, side = (torch.where(index >= 0, take(x, index.clamp(min=0)), 0.0) for x in (a, b))
@@ -296,15 +306,15 @@ class Places(NamedTuple):
         return found
 
     def missed(self, u: Tensor) -> list[Tensor]:
-        """By how much each row does not hold with equality under controls (3, N)."""
+        """Returns by how much each row does not hold with equality under controls (3, N)."""
         return [total(n * u, 0) + b for n, b in zip(self.normals, self.sides, strict=True)]
 
     def pushed(self, multiplier: Tensor) -> Tensor:
-        """The sum of the normals (3, N), each times its multiplier."""
+        """Returns the sum of the normals (3, N), each times its multiplier."""
         return reduce(torch.add, [n * m for n, m in zip(self.normals, multiplier, strict=True)])
 
     def apart(self, x: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """What of (3, N) is across the basis, and along each; once is not enough for nearly parallel rows."""
+        """Returns the part of x (3, N) across the basis and the parts along it; two passes for nearly parallel rows."""
         along = [torch.zeros_like(x[0])] * len(self.basis)
         for _ in range(2):
             more = [total(q * x, 0) for q in self.basis]
@@ -314,7 +324,7 @@ class Places(NamedTuple):
         return x, along
 
     def combination(self, along: list[Tensor]) -> Tensor:
-        """The multipliers (3, N) of the normals whose sum is so much along each of the basis."""
+        """Returns the multipliers (3, N) of the normals whose sum has the parts `along` the basis."""
         found: list[Tensor] = []
         for k in reversed(range(3)):
             left = along[k] - dot([self.share[i][k] for i in range(2, k, -1)], found, along[k])
@@ -322,15 +332,18 @@ class Places(NamedTuple):
         return torch.stack(found[::-1])
 
     def directions(self, normal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """A normal (3, N) as a combination r (3, N) of those in places and a rest; H^-1 of that, z; normal . z."""
+        """Returns r (3, N), z and normal . z for a normal (3, N).
+
+        The normal is the combination r of the normals in places, and a rest; z is H^-1 of this rest.
+        """
         rest, along = self.apart(forwards(self.lower, normal))
         return self.combination(along), backwards(self.lower, rest), total(rest * rest, 0)
 
     def corrected(self, off: Tensor, missed: list[Tensor]) -> tuple[Tensor, Tensor]:
-        """The changes of u (3, N) and of multipliers (3, N).
+        """Returns the changes of u (3, N) and of multipliers (3, N).
 
         Args:
-            off: (3, N) by which stationarity is; missed: see there.
+            off: (3, N) error of stationarity; missed: as returned by `missed`.
         """
         along: list[Tensor] = []
         for k in range(3):
@@ -344,7 +357,7 @@ class Places(NamedTuple):
 
 
 def cholesky(weight: Tensor, a: Tensor) -> Lower:
-    """L of 1 + sum w a a' for weights (R, N) and rows (R, 3, N)."""
+    """Returns L of 1 + sum w a a' for weights (R, N) and rows (R, 3, N)."""
     lower: Lower = []
     heavy = weight[:, None] * a
     for i in range(3):
@@ -358,7 +371,7 @@ def cholesky(weight: Tensor, a: Tensor) -> Lower:
 
 
 def forwards(lower: Lower, x: Tensor) -> Tensor:
-    """L^-1 x of (3, N)."""
+    """Returns L^-1 x of (3, N)."""
     found: list[Tensor] = []
     for part, row in zip(x, lower, strict=True):
         found.append((part - dot(row, found, part)) / row[-1])
@@ -366,7 +379,7 @@ def forwards(lower: Lower, x: Tensor) -> Tensor:
 
 
 def backwards(lower: Lower, x: Tensor) -> Tensor:
-    """L'^-1 x of (3, N)."""
+    """Returns L'^-1 x of (3, N)."""
     found: list[Tensor] = []
     for i in reversed(range(3)):
         column = [lower[k][i] for k in range(2, i, -1)]
@@ -375,11 +388,11 @@ def backwards(lower: Lower, x: Tensor) -> Tensor:
 
 
 def dot(one: Sequence[Tensor], other: Sequence[Tensor], like: Tensor) -> Tensor:
-    """The sum of products of pairs, as many as there are of both; zero like a tensor where there are none."""
+    """Returns the sum of products of pairs, up to the shorter length; zero like `like` if there are no pairs."""
     pairs = [x * y for x, y in zip(one, other, strict=False)]
     return reduce(torch.add, pairs) if pairs else torch.zeros_like(like)
 
 
 def take(rows: Tensor, index: Tensor) -> Tensor:
-    """rows[index[n], ..., n] for each n: (R, ..., N) and (N,) to (..., N)."""
+    """Returns rows[index[n], ..., n] for each n: (R, ..., N) and (N,) to (..., N)."""
     return rows.gather(0, index.expand(1, *rows.shape[1:-1], -1))[0]

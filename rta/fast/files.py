@@ -25,13 +25,13 @@ from rta.result import Status
 VERSION = "1.0.0"  # of this program
 MARK = "Written by main.py export --filter"  # on the first line of each
 NOT_VERIFIED = "NOT VERIFIED: no campaign is known that has flown this filter."
-TOLERANCE = 1e-9  # of the test, in units of the actuators' limits
-TOLERANCE_OF_H = 1e-9  # relative to those above 1
-NAME = "safety_filter"  # that files, functions, types and macros begin with
+TOLERANCE = 1e-9  # of controls in the test, in units of the actuators' limits
+TOLERANCE_OF_H = 1e-9  # of h in the test, relative for values above 1
+NAME = "safety_filter"  # the beginning of the names of files, functions, types and macros
 NAMES = ("safety_filter.h", "safety_filter.c", "safety_filter_vectors.h", "test_safety_filter.c", "example.c")
 SUMS = "safety_filter.sha256"
-BUILT = ("test_safety_filter", "example", "safety_filter.o", "safety_filter.su")  # by the Makefile
-WIDTH = 115  # of a line
+BUILT = ("test_safety_filter", "example", "safety_filter.o", "safety_filter.su")  # made by the Makefile
+WIDTH = 115  # characters in a line
 
 STATE = {  # components by name: unit and meaning
     **{f"position_{i}": "m, in Hill's frame: x away from the Earth, y along the orbit" for i in "xyz"},
@@ -59,10 +59,11 @@ def write(
     configuration: str = "",
     prefix: str = NAME,
 ) -> dict[str, str]:
-    """Writes a filter, constraints of your own included, into a directory, which may hold an older one.
+    """Writes a filter, with limits of your own, into a directory, which may hold an older one.
 
     Args:
-        verified: what the header says of that; configuration: the SHA-256 of all settings, "": of the filter's own.
+        verified: the header's text on verification; configuration: the SHA-256 of all settings, "": of the filter's
+            own.
         prefix: of all files, functions, types and macros, so that several filters fit into one program.
 
     Returns:
@@ -89,7 +90,7 @@ def sources(
     prefix: str = NAME,
     only: Sequence[str] = (*NAMES, "Makefile", SUMS),
 ) -> dict[str, str]:
-    """The text of each file, or of some of them; see `write`."""
+    """Returns the text of each file in `only`, by name; see `write`."""
 
     def change(text: str) -> str:
         return prefixed(text, NAME, prefix)
@@ -111,17 +112,17 @@ def sources(
 
 
 def marked(text: str) -> str:
-    """A C text with MARK on its first line."""
+    """Returns a C text with MARK on its first line."""
     return f"/* {MARK}. */\n{text}"
 
 
 def digest(text: str) -> str:
-    """SHA-256 of a text."""
+    """Returns the SHA-256 of a text."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def fingerprint(safety_filter: SafetyFilter) -> str:
-    """SHA-256 of what a filter is made of; of limits the names, gains and weights."""
+    """Returns the SHA-256 of a filter's parts; for limits of their names, gains and weights."""
     _, parts = safety_filter.__reduce__()
     limits = [(name, limit.gains, limit.weight) for name, limit in safety_filter.limits.items()]
     plain = [vars(part) for part in parts if dataclasses.is_dataclass(part)]
@@ -132,7 +133,7 @@ def fingerprint(safety_filter: SafetyFilter) -> str:
 
 
 def header(safety_filter: SafetyFilter, verified: str, configuration: str, source: str) -> str:
-    """safety_filter.h."""
+    """Returns the text of safety_filter.h."""
     places = [(name, f"h in {UNITS.get(name, 'a unit of its own')}") for name in safety_filter.names]
     status = [(each.name, text) for each, text in MEANING.items()]
     lines = [
@@ -190,14 +191,14 @@ def about(safety_filter: SafetyFilter) -> str:
 
 
 def folded(text: str) -> list[str]:
-    """Paragraphs in lines of WIDTH, with an empty one after them."""
+    """Returns paragraphs in lines of WIDTH, followed by an empty line."""
     return [
         line for part in text.splitlines() for line in (wrap(part, WIDTH, subsequent_indent="  ") or [""])
     ] + [""]
 
 
 def enumeration(kind: str, prefix: str, members: Sequence[tuple[str, str]]) -> str:
-    """An enumeration whose members have comments; ValueError where two have one name in C."""
+    """Returns an enumeration whose members have comments; raises ValueError if two have the same name in C."""
     members = [(prefix + re.sub(r"\W", "_", name, flags=re.ASCII), text) for name, text in members]
     names = [name.upper() for name, _ in members]
     if twice := [name for name in names if names.count(name) > 1]:
@@ -210,7 +211,7 @@ def enumeration(kind: str, prefix: str, members: Sequence[tuple[str, str]]) -> s
 
 
 def quoted(text: str) -> str:
-    """A text in C, without its trigraphs."""
+    """Returns a text as a C string, without trigraphs."""
     return json.dumps(text, ensure_ascii=False).replace("??", r"?\?")
 
 
@@ -218,7 +219,7 @@ def quoted(text: str) -> str:
 
 
 def implementation(safety_filter: SafetyFilter) -> str:
-    """safety_filter.c: what is called stands before what calls it, the order of a call (`filter`) last."""
+    """Returns the text of safety_filter.c: functions stand before their callers, the order of a call last."""
     function = remembered(printed_answer, safety_filter, True)
     names = ",\n".join(f"    {quoted(name)}" for name in safety_filter.names)
     return "\n".join(
@@ -238,11 +239,11 @@ def implementation(safety_filter: SafetyFilter) -> str:
     )
 
 
-# what is compared and flown
+# the test's vectors, and the example's model
 
 
 def vectors_header(safety_filter: SafetyFilter) -> str:
-    """safety_filter_vectors.h."""
+    """Returns the text of safety_filter_vectors.h."""
     found = vectors(safety_filter)
     result, count = found.result, found.state.shape[1]
     inputs = ",\n".join(of_call(*(part[..., i] for part in found[:3])) for i in range(count))
@@ -281,7 +282,7 @@ def vectors_header(safety_filter: SafetyFilter) -> str:
 
 
 def of_call(x: Tensor, desired: Tensor, sent: Tensor) -> str:
-    """The initialiser of a struct safety_filter_input."""
+    """Returns the initialiser of a struct safety_filter_input."""
     parts = [f".state = {entries(x.tolist())}", f".desired = {entries(desired.tolist())}"]
     if len(sent):
         parts += [f".sent = {entries(sent.tolist())}", f".sent_count = {len(sent)}"]
@@ -289,12 +290,12 @@ def of_call(x: Tensor, desired: Tensor, sent: Tensor) -> str:
 
 
 def model(safety_filter: SafetyFilter) -> str:
-    """The step of the model that example.c flies."""
+    """Returns the step of the model that example.c flies."""
     x, u = safety_filter.probe()[:2]
     run = partial(model_step, safety_filter)
     return for_one([printed(run, x, u, name="model_step", names=(("x", "u"), ("y",)), single=True)])
 
 
 def model_step(safety_filter: SafetyFilter, x: Tensor, u: Tensor) -> list[Tensor]:
-    """The state a second later."""
+    """Returns the state a second later."""
     return [step(x, u, 1.0, safety_filter.c)]

@@ -1,4 +1,4 @@
-"""The filter of a batch, fast: `SafetyFilter.answer` as one C function on a CPU, or batched on another device."""
+"""The fast filter of a batch: `SafetyFilter.answer` as one C function on a CPU, or batched on another device."""
 
 from copy import copy
 from typing import TypeVar
@@ -25,17 +25,17 @@ FOUND = ("control", "intervened", "verified", "backup", "active", "slack", "stat
 
 
 def fast(safety_filter: AnyFilter, device: torch.device | str = "cpu", batch: int = 1) -> AnyFilter:
-    """Returns a copy of a filter that computes the same fast, for tensors on this device.
+    """Returns a fast copy of a filter with the same results, for tensors on the given device.
 
     With the batched solver on a CPU the whole call is one C function. With PIQP the conditions and the check are
-    compiled; on a GPU the conditions are, and the programs are solved for the whole batch at once. Compiling takes up
-    to ten seconds, once: what was compiled is kept across runs.
+    compiled. On a GPU the conditions are compiled, and the programs are solved for the whole batch at once. Compiling
+    takes up to ten seconds, once: compiled code is kept across runs.
 
     Args:
         batch: about how many spacecraft a call will have.
 
     Raises:
-        NoCompilerError: there is no working C compiler; NotImplementedError: a limit of your own cannot be printed.
+        NoCompilerError: no C compiler works; NotImplementedError: a limit of your own cannot be printed.
     """
     f, on_cpu = safety_filter, torch.device(device).type == "cpu"
     if f.parameters.solver == "batched" and on_cpu:
@@ -66,7 +66,7 @@ def in_c(f: AnyFilter) -> AnyFilter:
 
 
 def printed_answer(f: SafetyFilter, single: bool) -> Printed:
-    """Prints `answer` as C; single: for one spacecraft, whose programs wait for no others."""
+    """Prints `answer` as C; single: for one spacecraft, whose programs do not wait for others."""
     own = f.with_parts(FastProgram(f.c, f.limits, 0 if single else ATTEMPTED), f.check)
 
     def answer(*given: Tensor) -> list[Tensor]:
@@ -82,7 +82,7 @@ def printed_is_safe(f: SafetyFilter) -> Printed:
 
 
 def latency(f: SafetyFilter) -> int:
-    """How many controls that were sent `answer` takes."""
+    """Returns how many sent controls `answer` takes."""
     return sum(len(sent) for sent in f.probe()[2:])
 
 

@@ -1,4 +1,4 @@
-"""The filter in C as it is exported, called one spacecraft after the other in the place of `SafetyFilter.correct`."""
+"""The filter in C as exported, called for one spacecraft after the other in place of `SafetyFilter.correct`."""
 
 import ctypes
 
@@ -14,9 +14,9 @@ from rta.result import FilterResult
 
 
 class InC:
-    """`correct` of a filter by the C that `rta.fast.files` writes, for batches on a CPU.
+    """Computes `correct` of a filter by the C code from `rta.fast.files`, for batches on a CPU.
 
-    Raises NoCompilerError where there is no working C compiler.
+    Raises NoCompilerError if no C compiler works.
 
     Attributes:
         given, found: the structs of safety_filter.h.
@@ -36,13 +36,13 @@ class InC:
         self.found = np.dtype([("control", "f8", 6), ("status", "i4"), *said, *numbers], align=True)
 
     def correct(self, x: Tensor, desired: Tensor, sent: Tensor | None = None) -> FilterResult:
-        """As `SafetyFilter.correct`."""
+        """Filters as `SafetyFilter.correct`."""
         given, found = (np.zeros(x.shape[1], kind) for kind in (self.given, self.found))
         given["state"], given["desired"] = x.T.numpy(), desired.T.numpy()
         if sent is not None:
             if len(sent) > self.room:
                 raise ValueError(f"{len(sent)} controls sent: the C was exported for {self.room}")
-            younger = sent.isnan().any(1)  # than the first of these controls
+            younger = sent.isnan().any(1)  # where the state is younger than a control
             given["sent_count"] = (~younger).sum(0).numpy()
             for column, count in enumerate(given["sent_count"]):
                 given["sent"][column, :count] = sent[len(sent) - count :, :, column].numpy()

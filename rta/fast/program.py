@@ -1,7 +1,7 @@
 """The paper's program for a whole batch at once, and in C: `PaperFilter.correct` by the active-set method.
 
-Thrust and torque enter disjoint conditions, so that the program of six controls is two of three. Only a limit of your
-own may depend on both: it belongs to the group that changes it more, and the other group's control is taken as it is.
+Thrust and torque enter disjoint conditions, so the program of six controls is two of three. Only a limit of your own
+may depend on both: it belongs to the group that changes it more, and the other group's control is taken as given.
 Torque comes first.
 """
 
@@ -19,19 +19,19 @@ from rta.own import influence
 from rta.paper import PaperFilter
 from rta.result import FilterResult, Status
 
-REDUNDANT = 2.0  # of a row of length 1 no control breaks b >= sqrt(3)
+REDUNDANT = 2.0  # no control violates a row of length 1 with b >= sqrt(3)
 HOPELESS = -100.0  # keeps the slack of a condition that no control satisfies in a range that float64 resolves
-HEAVIEST = 1e6  # of a weight, per slack squared of a row of length 1; a larger one leaves no digits
-FEASIBLE = 1e-7  # violation of a row of length 1 that is rounding
-NO_INFLUENCE = 1e-9  # length of a row, in h's unit per s and actuator limit, which no control changes
+HEAVIEST = 1e6  # largest weight, per slack squared of a row of length 1; a larger one leaves no digits
+FEASIBLE = 1e-7  # a smaller violation of a row of length 1 is rounding
+NO_INFLUENCE = 1e-9  # no control changes a row of this length, in h's unit per s and actuator limit
 
 
 class FastProgram(PaperFilter):
-    """`PaperFilter` by the active-set method.
+    """Solves the program of `PaperFilter` by the active-set method.
 
     Attributes:
-        rows: of conditions that thrust keeps, and of those that torque keeps; coupled: some depend on both.
-        attempted: as of `solve`.
+        rows: indices of conditions on thrust, and of conditions on torque; coupled: some depend on both.
+        attempted: as in `solve`.
     """
 
     def __init__(self, c: Limits, limits: dict[str, Limit], attempted: int = ATTEMPTED) -> None:
@@ -45,7 +45,7 @@ class FastProgram(PaperFilter):
         self.attempted = attempted
 
     def correct(self, x: Tensor, desired: Tensor) -> FilterResult:
-        """See `PaperFilter.correct`."""
+        """Filters as `PaperFilter.correct`."""
         limit = x.new_tensor(self.c.control_limit)[:, None]
         long = if_long(len(self.c.planes))
         a, b = call(self.conditions, x, long=long)
@@ -63,17 +63,19 @@ class FastProgram(PaperFilter):
         return FilterResult(control, changed, no, no, active, slack, status, h)
 
     def conditions(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """a (R, 6, B) per actuator limit and b (R, B) of `barrier_conditions` at states (16, B)."""
+        """Returns a (R, 6, B) per actuator limit and b (R, B) of `barrier_conditions` at states (16, B)."""
         a, b, *_ = self.evaluated(x)
         return a * x.new_tensor(self.c.control_limit)[:, None], b
 
     def solved(
         self, group: int, a: Tensor, b: Tensor, wanted: Tensor, control: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Controls (3, B) of thrust (group 0) or torque in units of limits; `Status` (B,), UNTOUCHED where none breaks.
+        """Returns controls (3, B) of thrust (group 0) or torque in units of limits, and `Status` (B,).
+
+        The status is UNTOUCHED where no condition is violated.
 
         Args:
-            a, b: (R, 6, B) and (R, B) of all conditions; wanted: (6, B); control: (6, B) that clipped.
+            a, b: (R, 6, B) and (R, B) of all conditions; wanted: (6, B); control: (6, B), `wanted` clipped.
         """
         rows, own, other = self.rows[group], (THRUST, TORQUE)[group], (TORQUE, THRUST)[group]
         weights = [list(self.limits.values())[i].weight or 0.0 for i in rows]
@@ -88,7 +90,7 @@ class FastProgram(PaperFilter):
         return torch.where(broken, u, control[own]), torch.where(broken, status, Status.UNTOUCHED)
 
     def padded(self, a: Tensor, b: Tensor, weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """As many rows for both groups, by rows that hold anywhere, so that one function in C solves both."""
+        """Returns equally many rows for both groups, by rows that always hold, so that one C function solves both."""
         more = max(map(len, self.rows)) - len(a)
         if not more:
             return a, b, weight
@@ -98,9 +100,10 @@ class FastProgram(PaperFilter):
 
 
 def scaled(a: Tensor, b: Tensor, weights: list[float]) -> tuple[Tensor, Tensor, Tensor]:
-    """Rows (k, 3, B) of length 1, their sides and the weights of their slack (k, B), zero: they must hold.
+    """Returns rows (k, 3, B) of length 1, their sides and the weights of their slack (k, B), zero: rows that must hold.
 
-    A condition that must hold asks for no more than there is: beyond its limit it may ask for many times that.
+    A condition that must hold requires no more than full thrust gives: beyond its limit it could require many times
+    that.
     """
     most = total(a.abs(), 1)
     b = torch.stack(
@@ -117,7 +120,7 @@ def scaled(a: Tensor, b: Tensor, weights: list[float]) -> tuple[Tensor, Tensor, 
 def concluded(
     a: Tensor, b: Tensor, desired: Tensor, control: Tensor, limit: Tensor, status: Tensor
 ) -> list[Tensor]:
-    """The control, whether it is corrected, active, slack and status of controls (6, B) in units of limits (6, 1)."""
+    """Returns the applied control, changed, active, slack and status for controls (6, B) in units of limits (6, 1)."""
     reached, length = total(a * control, 1) + b, total(a * a, 1).sqrt()
     changed = status > Status.UNTOUCHED
     is_solution = changed & (status < Status.UNSOLVED)

@@ -1,4 +1,4 @@
-"""The filter for one spacecraft as C99 for flight software: `SafetyFilter.answer` printed, and what calls it."""
+"""The filter for one spacecraft as C99 for flight software: `SafetyFilter.answer` printed, and its callers."""
 
 import math
 import re
@@ -15,29 +15,29 @@ SCALAR, FUNCTIONS = header("scalar.h"), header("functions.h")
 
 
 def source(safety_filter: SafetyFilter, function: Printed) -> str:
-    """The printed filter and what calls it, after safety_filter.h."""
+    """Returns the printed filter and its callers, to follow safety_filter.h."""
     head = [define("SENT", "&sent[0][0]," if latency(safety_filter) else "")]
     return "\n".join([for_one([function]), *head, driver_text("call.c")])
 
 
 def driver_text(name: str) -> str:
-    """A file of the folder driver."""
+    """Returns the text of a file of the folder driver."""
     return (files("rta.fast") / "driver" / name).read_text(encoding="utf-8")
 
 
 def for_one(parts: Sequence[Printed]) -> str:
-    """Printed functions for one spacecraft, and what they are made of."""
+    """Returns printed functions for one spacecraft, with the definitions that they need."""
     text = text_of(parts)
     return operations(text) + "\n" + text
 
 
 def text_of(parts: Sequence[Printed]) -> str:
-    """Printed functions."""
+    """Returns the text of printed functions."""
     return "\n".join(text for part in parts for text in (*part.parts, part.text))
 
 
 def operations(text: str) -> str:
-    """What a text for one spacecraft is made of that is printed, or written alike."""
+    """Returns the definitions that a text for one spacecraft needs."""
     called = set(re.findall(r"\b([A-Z][A-Z0-9_]*)\(", text))
     functions = ""
     if called & {name.upper() for name in OWN}:
@@ -50,13 +50,13 @@ def operations(text: str) -> str:
 
 
 def is_needed(line: str, text: str) -> bool:
-    """Whether a line of SCALAR defines something that occurs in a text, or is no definition."""
+    """Checks whether a line of SCALAR defines something that occurs in a text, or is no definition."""
     defined = re.match(r"#define (\w+)", line)
     return not defined or re.search(rf"\b{defined[1]}\b", text) is not None
 
 
 def interface(safety_filter: SafetyFilter) -> str:
-    """The constants of a filter that who calls it needs, in C."""
+    """Returns in C the constants of a filter that its caller needs."""
     sent, (thrust, *_, torque) = latency(safety_filter), safety_filter.c.control_limit
     return "\n".join(
         [
@@ -72,18 +72,18 @@ def interface(safety_filter: SafetyFilter) -> str:
 
 
 def define(name: str, value: Any, comment: str = "") -> str:
-    """A named constant in C."""
+    """Returns a named constant in C."""
     number = literal(value) if isinstance(value, float) else str(value)
     return f"#define {name} {number}" + (f" /* {comment} */" if comment else "")
 
 
 def table(declaration: str, values: Sequence[Any], comment: str = "") -> str:
-    """A table in C."""
+    """Returns a table in C."""
     return f"static const {declaration} = {entries(values)};" + (f" /* {comment} */" if comment else "")
 
 
 def entries(values: Sequence[Any]) -> str:
-    """Numbers, or lists of them, in braces; shorter lists are filled up with zeros."""
+    """Returns numbers, or lists of them, in braces; shorter lists are filled up with zeros."""
     longest = max((len(v) for v in values if isinstance(v, list | tuple)), default=0)
     padded = ([*v, *[0] * (longest - len(v))] if isinstance(v, list | tuple) else v for v in values)
     texts = (entries(v) if isinstance(v, list | tuple) else literal(v) for v in padded)
@@ -91,7 +91,7 @@ def entries(values: Sequence[Any]) -> str:
 
 
 def literal(value: float) -> str:
-    """A number in C that is exactly this one."""
+    """Returns a number in C that is exactly this one."""
     if math.isnan(value):
         return "NAN"
     if math.isinf(value):

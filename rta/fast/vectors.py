@@ -1,4 +1,4 @@
-"""States and desired controls with the answers of the filter in Python, which the exported C is compared with."""
+"""States and desired controls with the filter's answers in Python, to compare the exported C with."""
 
 import math
 from typing import NamedTuple
@@ -13,18 +13,18 @@ from rta.fast.filter import batched, latency
 from rta.filter import SafetyFilter
 from rta.result import FilterResult, Status
 
-DRAWN = 400  # states, of which those are kept whose answers rounding does not decide
-KEPT = 120
-ROUNDING = 1e-12  # relative, what comes of it inside included
-PERTURBED = 6  # times
-NEARLY = 1e-3  # of a control, and of what it is compared within
+DRAWN = 400  # states; states whose answers depend on rounding are left out
+KEPT = 120  # states at most
+ROUNDING = 1e-12  # relative perturbation, larger than the effect of rounding
+PERTURBED = 6  # perturbed copies of each call
+NEARLY = 1e-3  # largest difference between controls, in units of the actuators' limits
 
 
 class Vectors(NamedTuple):
-    """Calls of the filter; last axis the calls.
+    """Holds calls of the filter; the last axis is the calls.
 
     Attributes:
-        state: (16, N); desired: (6, N); sent: (k, 6, N); result: what Python answers.
+        state: (16, N); desired: (6, N); sent: (k, 6, N); result: Python's answer.
     """
 
     state: Tensor
@@ -34,7 +34,10 @@ class Vectors(NamedTuple):
 
 
 def states(count: int, seed: int, c: Limits) -> tuple[Tensor, Tensor]:
-    """States (16, B) within some limits and beyond others, and desired controls (6, B), some beyond the actuators'."""
+    """Returns states (16, B) within some limits and beyond others, and desired controls (6, B).
+
+    Some controls are beyond the actuators' limits.
+    """
     draw = torch.Generator().manual_seed(seed)
 
     def uniform(low: float, high: float, *shape: int) -> Tensor:
@@ -58,7 +61,7 @@ def states(count: int, seed: int, c: Limits) -> tuple[Tensor, Tensor]:
 
 
 def vectors(safety_filter: SafetyFilter) -> Vectors:
-    """KEPT calls, and one for every number of a call that is none."""
+    """Returns at most KEPT calls, and one call for every number of a call that is NaN or infinite."""
     make, parts = safety_filter.__reduce__()
     other = batched(make(*parts))  # uncompiled
     x, desired = states(DRAWN, 0, other.c)
@@ -76,13 +79,16 @@ def vectors(safety_filter: SafetyFilter) -> Vectors:
 
 
 def answered(safety_filter: SafetyFilter, given: list[Tensor]) -> FilterResult:
-    """What a filter answers to states, desired controls and, if it takes these, controls sent."""
+    """Returns a filter's answer to states, desired controls and, if it takes these, controls sent."""
     return safety_filter.correct(*(given if latency(safety_filter) else given[:2]))
 
 
 def is_steady(safety_filter: SafetyFilter, given: list[Tensor], draw: torch.Generator) -> Tensor:
-    """(B,) bool: every program is solved, and no status, active row, check or control turns on rounding."""
-    count = 1 + PERTURBED  # of calls at each state, as they are and perturbed, all of them in one batch
+    """Checks whether rounding decides nothing in a call, (B,) bool.
+
+    Every program is solved, and no status, active row, check or control depends on rounding.
+    """
+    count = 1 + PERTURBED  # calls at each state, unchanged and perturbed, all in one batch
     near = [part.unsqueeze(-2).repeat_interleave(count, -2) for part in given]
     for part in near[:2]:
         part[:, 1:] *= 1.0 + ROUNDING * torch.randn(part[:, 1:].shape, generator=draw, dtype=torch.float64)
@@ -90,7 +96,7 @@ def is_steady(safety_filter: SafetyFilter, given: list[Tensor], draw: torch.Gene
     limit = answer.control.new_tensor(safety_filter.c.control_limit)[:, None, None]
 
     def differs(values: Tensor) -> Tensor:
-        """By how much those of perturbed calls are off, (..., PERTURBED, B)."""
+        """Returns by how much values of perturbed calls are off, (..., PERTURBED, B)."""
         each = values.unflatten(-1, (count, -1)).double()
         return (each[..., 1:, :] - each[..., :1, :]).abs()
 
@@ -101,7 +107,7 @@ def is_steady(safety_filter: SafetyFilter, given: list[Tensor], draw: torch.Gene
 
 
 def hostile(given: list[Tensor]) -> list[Tensor]:
-    """22 calls with a number that is none, of a state or of a desired control; in turns NaN and infinity."""
+    """Returns 22 calls, each with one number that is NaN or infinite in a state, or NaN in a desired control."""
     x, desired, *others = (part.clone() for part in given)
     for i in range(SIZE + CONTROL_SIZE):
         part, row = (x, i) if i < SIZE else (desired, i - SIZE)

@@ -1,1 +1,1 @@
-"""Bounds on the errors of model, measurement and actuators."""
+"""The filter under bounds on the errors of model, measurement and actuators."""

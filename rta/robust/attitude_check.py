@@ -1,15 +1,16 @@
 """The backup trajectory of torque with error bounds, to rest.
 
-The law is that of `rta.check.attitude_law` in a form that is robust to errors: Lipschitz in the attitude, with
-one place of rest, slow enough to be followed. With d the panels' axis, s the direction to the Sun and w the body's rate
-relative to the Sun it asks for
+The law is that of `rta.check.attitude_law` in a form that is robust to errors: Lipschitz in the attitude, with one
+attitude of rest, and slow enough to be followed. Let d be the panels' axis, s the direction to the Sun and w the body's
+rate relative to the Sun. The law commands
 
     w* = kappa proj(d x s) + roll d,    torque = J (w* - w) / tau less the gyroscopic one,    tau = G times the hold,
 
-proj shortening what is longer than W / kappa, G the largest gain. At rest the panels face the Sun and the cooled axis e
-is along Hill's z. In a hold the error z = w - w* shrinks by the share g t / tau, between 0 and 1 whenever the hold
-ends, so a missed call does not overshoot. What is left is bounded per axis, call by call (`followed`); its sums are all
-that the limits' bounds need (`trajectory_margin`). Derivation, and what is not proven: docs/reference/proof.md.
+where proj shortens what is longer than W / kappa, and G is the largest gain. At rest the panels face the Sun and the
+cooled axis e is along Hill's z. In a hold the error z = w - w* shrinks by the share g t / tau, between 0 and 1 whenever
+the hold ends, so a missed call does not overshoot. The remaining error is bounded per axis, call by call (`followed`).
+The limits' bounds need only its sums (`trajectory_margin`). docs/reference/proof_with_bounds.md has the derivation, and
+what is not proven.
 """
 
 import math
@@ -36,19 +37,19 @@ from rta.robust.attitude_constants import (
     heating,
 )
 
-LOOK = 2.5  # s, between two looks at a hold at most
+LOOK = 2.5  # s, longest time between two tests of a hold
 
 
 @dataclass(frozen=True)
 class Spread:
-    """How far true states may be from others (16, ...) at a call.
+    """Holds bounds of how far true states may be from given ones (16, ...) at a call.
 
     Attributes:
         angle: (...) rad, in any direction; rate: (...) rad/s, of each axis.
         temperature, energy: (...) deg C, kJ.
         command: (...) rad/s^2, of each axis, of the torque that was held until the call.
-        late: (2, ...) rad/s and rad, by which the law's first calls see the state farther off: they answer what was
-            measured before that torque acted, so other torque acted since.
+        late: (2, ...) rad/s and rad, additional error of the state at the law's first calls: they answer measurements
+            from before this torque acted, so other torque acted since.
     """
 
     angle: Tensor
@@ -60,12 +61,12 @@ class Spread:
 
 
 class Start(NamedTuple):
-    """Where a backup trajectory begins; all at most, but for the last two.
+    """Describes the beginning of a backup trajectory; upper bounds, but lower ones in the last two.
 
     Attributes:
         delta: (...) rad, of the panels from the Sun; z: (2, ...) rad/s, by which the rates across d are not the law's.
         rolling: (...) rad/s, of the rate about d; command, late: see `Spread`; hot: (...) deg C.
-        near, energy: (...) rad, delta, and kJ, at least.
+        near, energy: (...) rad, delta, and kJ.
     """
 
     delta: Tensor
@@ -79,14 +80,14 @@ class Start(NamedTuple):
 
     @classmethod
     def any_of(cls, starts: Sequence["Start"]) -> "Start":
-        """Bounds of several."""
+        """Returns bounds that hold for all of several starts."""
         *most, near, energy = zip(*starts, strict=True)
         least = (-maximum([-each for each in parts]) for parts in (near, energy))
         return cls(*(maximum(list(parts)) for parts in most), *least)
 
 
 def maximum(parts: list[Tensor]) -> Tensor:
-    """The largest of several tensors, element by element."""
+    """Returns the largest of several tensors, element by element."""
     most, *others = parts
     for part in others:
         most = torch.maximum(most, part)
@@ -94,7 +95,7 @@ def maximum(parts: list[Tensor]) -> Tensor:
 
 
 def wanted(x: Tensor, w: AttitudeConstants) -> Tensor:
-    """The law: omega (3, ...) in rad/s, relative to Hill's frame, for states (16, ...)."""
+    """Returns the law: omega (3, ...) in rad/s, relative to Hill's frame, for states (16, ...)."""
     d, e = vector(w.c.solar_panel_axis, x), vector(w.c.thermal_axis, x)
     s, _ = sun_and_earth_in_body(x)
     axis, cosine = across(d, s), dot(d, s)
@@ -106,20 +107,21 @@ def wanted(x: Tensor, w: AttitudeConstants) -> Tensor:
 
 
 def law(x: Tensor, w: AttitudeConstants) -> Tensor:
-    """The law as torque (3, B) in N m at states (16, B), as they are measured."""
+    """Returns the law as torque (3, B) in N m at measured states (16, B)."""
     inertia = x.new_tensor(w.c.inertia)[:, None]
     faster = (wanted(x, w) - x[OMEGA]) / w.tau - torch.stack(euler(x[OMEGA], w.c.inertia))
     return (inertia * faster).clamp(-w.c.max_torque, w.c.max_torque)
 
 
 class Followed(NamedTuple):
-    """How the law is followed, for each period from a call on.
+    """Holds how the law is followed in each period from a call on.
 
     Attributes:
-        errors: (...) rad/s each, |z| at most; paces: (...) rad/s, at which the law turns the panels at least until they
-            are near the Sun.
-        least: (...) rad, delta at least, before each period and after the last.
-        farthest: (...) rad, delta at most at the end, or a right angle; last: (...) rad/s, |z| of an axis there.
+        errors: (...) rad/s each, the largest |z|; paces: (...) rad/s, the smallest rate at which the law turns the
+            panels until they are near the Sun.
+        least: (...) rad, the smallest delta, before each period and after the last.
+        farthest: (...) rad, the largest delta at the end, or a right angle; last: (...) rad/s, |z| of an axis at the
+            end.
     """
 
     errors: list[Tensor]
@@ -130,10 +132,11 @@ class Followed(NamedTuple):
 
 
 def followed(start: Start, w: AttitudeConstants) -> Followed:
-    """Bounds of the error of the law's rates, call by call, whichever calls are missed.
+    """Returns bounds of the error of the law's rates, call by call, whichever calls are missed.
 
-    In a hold from a call at which an error is z_i it is at most |1 - b| |z_i| + b e + F t with b between g t / tau and
-    G t / tau: e is the measurement's error, F what the model does not know and how the law's rates change.
+    In a hold from a call with the error z_i, the error is at most |1 - b| |z_i| + b e + F t, with b between g t / tau
+    and G t / tau. Here e is the measurement's error, and F is what the model does not know plus the change of the law's
+    rates.
     """
     steps = math.ceil(LOOKAHEAD / (w.slowest * w.period))
     limit, long = w.c.max_rate + w.unknown, w.hold_periods * w.period
@@ -141,22 +144,23 @@ def followed(start: Start, w: AttitudeConstants) -> Followed:
     errors = [start.z, *[torch.stack((none, none))] * (steps + w.hold_periods)]
     rolls = [start.rolling, *[none] * (steps + w.hold_periods)]
     most = max(w.spin) * limit**2 + w.unknown * ROOT3 * limit
-    commands = [start.command], [start.command]  # across d, and about it
+    commands = [start.command], [start.command]  # across d, and about d
     unknowns = [torch.full_like(none, most)], [torch.full_like(none, most)]
     sums: list[Tensor] = []
     paces: list[Tensor] = []
     least, slower = [start.near], math.asin(w.rate / w.kappa)
     farthest, right = start.delta, math.pi / 2
     slowest = w.pace(math.pi - w.c.field_of_view / 2 - w.c.exclusion_buffer)
-    over = max(w.fastest * long, 1.0)  # b at most
+    over = max(w.fastest * long, 1.0)  # the largest b
 
     def overshot(first: Tensor, last: Tensor) -> Tensor:
-        """|1 - b| first + b last at most, whichever b is reached."""
+        """Returns the largest |1 - b| first + b last for any b that is reached."""
         return maximum([first, last, (over - 1.0) * first + over * last])
 
     for i in range(steps):
         z, rolling = errors[i], rolls[i]
-        # at the earliest in the hold; the law's rate changes its direction, then its size, and then the body rolls
+        # The smallest delta in the hold. Near the Sun the law's rate changes its direction, then its size, and then the
+        # body rolls.
         nearest_to = least[i] - ROOT2 * long * limit
         roll = torch.where(nearest_to > BEGINS + w.angle, 0.0, nearest_to.new_tensor(w.roll))
         calls = round(w.lag / w.period)
@@ -166,7 +170,7 @@ def followed(start: Start, w: AttitudeConstants) -> Followed:
             w.measured(maximum(sent[ago]), maximum(unknown[ago]))
             for sent, unknown in zip(commands, unknowns, strict=True)
         )
-        if i < calls - 1:  # measured before the hold that the trajectory begins after
+        if i < calls - 1:  # measured before the hold after which the trajectory begins
             late, late_angle = start.late[0] + w.unknown * ROOT2 * start.late[1], start.late[1]
             e, angle, e_d, angle_d = e + late, angle + late_angle, e_d + late, angle_d + late_angle
         e = e + w.kappa * torch.maximum(angle, angle_d) * ROOT3
@@ -180,7 +184,7 @@ def followed(start: Start, w: AttitudeConstants) -> Followed:
             fast: Tensor = fast,
             at_most: Tensor = at_most,
         ) -> Tensor:
-            """rad/s^2, F of an axis, where z adds a share to its own change."""
+            """Returns F of an axis in rad/s^2, where z adds a share to its own change."""
             share = w.spin[1] * fast + w.unknown + turned_by
             change = w.spin[1] * fast * w.rate + w.unknown * (fast + w.rate + w.unknown)
             change = change + w.rate * fast + slowing + share * at_most
@@ -190,7 +194,7 @@ def followed(start: Start, w: AttitudeConstants) -> Followed:
         change = changes(max(w.kappa, steep), w.kappa * w.rate)
         rises = long * (at_most + ROOT2 * long * change / 2 - slowest)
         opposite_to = farthest + rises.clamp(min=0.0)
-        # elsewhere the law's rate changes its size, too
+        # near the Sun or opposite to it the law's rate changes its size, too
         is_steady = (nearest_to > slower) & (opposite_to < math.pi - slower)
         turned_by = torch.where(is_steady, steep, nearest_to.new_tensor(max(w.kappa, steep)))
         change = changes(turned_by, torch.where(is_steady, 0.0, nearest_to.new_tensor(w.kappa * w.rate)))
@@ -221,7 +225,7 @@ def trajectory_margin(x: Tensor, off: Spread, w: AttitudeConstants) -> Tensor:
 
 
 def beginning(x: Tensor, off: Spread, w: AttitudeConstants) -> Start:
-    """Returns what the backup trajectory from states (16, B) depends on."""
+    """Returns the start of the backup trajectory from states (16, B)."""
     d = vector(w.c.solar_panel_axis, x)
     s, _ = sun_and_earth_in_body(x)
     delta = dot(d, s).clamp(-1.0, 1.0).arccos()
@@ -235,7 +239,7 @@ def beginning(x: Tensor, off: Spread, w: AttitudeConstants) -> Start:
 
 
 def from_here(start: Start, w: AttitudeConstants) -> Tensor:
-    """Returns `trajectory_margin` from what it depends on."""
+    """Returns `trajectory_margin` from the trajectory's start."""
     c, t, delta = w.c, w.period, start.delta
     sums, paces, least, opposite, last = followed(start, w)
     gone, farthest = torch.zeros_like(delta), torch.zeros_like(delta)
@@ -252,7 +256,7 @@ def from_here(start: Start, w: AttitudeConstants) -> Tensor:
     more, more_near = (tail * (last - each.across).clamp(min=0.0) for each in (w.turning, w.near))
     slower = math.asin(w.rate / w.kappa)
     farthest = torch.maximum(farthest, gone + more_near)
-    # where the panels have not come to W yet
+    # while the panels have not reached the rate W yet
     still = (opposite + more - (math.pi - slower)).clamp(min=0.0) / w.slow_far
     late = late + more + still * max(w.slow - w.slow_far, 0.0)
     late_near = late_near + more_near + still * max(w.slow_near - w.slow_far, 0.0)
@@ -266,7 +270,7 @@ def from_here(start: Start, w: AttitudeConstants) -> Tensor:
     lowest_at = torch.where(returns, w.lowest_at(w.slow_near), delta.new_tensor(turned))
 
     def spent(first: Tensor, end: Tensor) -> Tensor:
-        """kJ while delta falls from a first to a last angle."""
+        """Returns the kJ used while delta falls from a first to a last angle."""
         first = torch.maximum(first, end)
         light = first.clamp(max=right).sin() - end.clamp(max=right).sin()
         return (draw * (first - end) - charging * light.clamp(min=0.0)) / slow
@@ -290,17 +294,17 @@ def from_here(start: Start, w: AttitudeConstants) -> Tensor:
 
 
 def hold_bounds(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants) -> tuple[Tensor, Start]:
-    """A hold of controls (6, B), however long, at states (16, B) as they are predicted.
+    """Returns bounds of a hold of controls (6, B), of any length, at predicted states (16, B).
 
-    Where a state is more calls old than the hold is long, controls from before it acted since the state was measured.
-    By how much they take the rate and the attitude astray is what the prediction is off by already, `error_bound`.
+    Where a state is more calls old than the hold is long, controls from before the hold acted since the measurement.
+    The errors of rate and attitude from these controls are already in the prediction's `error_bound`.
 
     Args:
-        error_bound: (4, B) by how far the states are off beyond their measurement, see `Propose`.
+        error_bound: (4, B) how far the states are off beyond their measurement, see `rta.robust.prediction`.
 
     Returns:
-        The least of the attitude's limits (B,), and where the backup trajectory begins at the next call, whenever that
-        is.
+        The least of the attitude's limits (B,), and the start of the backup trajectory at the next call, whenever that
+            is.
     """
     c, looks = w.c, math.ceil(w.period / LOOK)
     t = w.period / looks
@@ -332,13 +336,13 @@ def hold_bounds(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants)
 
 
 def off(error_bound: Tensor, w: AttitudeConstants) -> tuple[Tensor, Tensor]:
-    """By how far an attitude is off, in rad, and a rate of each axis, in rad/s: (B,) each; as `hold_bounds`."""
+    """Returns error bounds of an attitude in rad and of a rate of each axis in rad/s, (B,) each; see `hold_bounds`."""
     angle = math.sqrt(3.0) * w.attitude + error_bound[2]
     return angle, w.noise + error_bound[3] + w.unknown * angle
 
 
 def room(x: Tensor, angle: Tensor, rate: Tensor, w: AttitudeConstants) -> Tensor:
-    """rad/s, that rates of states (16, B) are within their limits at least, off by so much."""
+    """Returns a lower bound in rad/s of the room between rates of states (16, B), with their errors, and limits."""
     omega = x[OMEGA].abs().amax(0)
     if w.offset:
         gyro = (x[OMEGA] + w.offset * rotation_matrix(x[Q])[2]).abs().amax(0)
@@ -347,10 +351,10 @@ def room(x: Tensor, angle: Tensor, rate: Tensor, w: AttitudeConstants) -> Tensor
 
 
 def within(x: Tensor, angle: Tensor, rate: Tensor, light_error: Tensor, w: AttitudeConstants) -> list[Tensor]:
-    """By how much exclusion, temperature, battery and rates of states (16, B) are kept at most.
+    """Returns upper bounds of exclusion, temperature, battery and rates of states (16, B).
 
-    Each where the states may be off by so many rad and rad/s, and heat and charge by what light that is off does in
-    `light_error` rad s.
+    The states may be off by `angle` rad and `rate` rad/s. Heat and charge may be off by the effect of light that is
+    wrong by `light_error` rad s.
     """
     c = w.c
     sun, earth = sun_and_earth_in_body(x)
@@ -369,7 +373,7 @@ def within(x: Tensor, angle: Tensor, rate: Tensor, light_error: Tensor, w: Attit
 
 
 def may_be_kept(x: Tensor, error_bound: Tensor, w: AttitudeConstants) -> Tensor:
-    """Not negative where each limit of attitude may be kept now, states (16, B) being off as of `hold_bounds`: (B,)."""
+    """Returns (B,), not negative where all limits of attitude may hold; states (16, B) are off as in `hold_bounds`."""
     angle, rate = off(error_bound, w)
     return lowest(torch.stack(within(x, angle, rate, angle * w.lag, w)))
 
@@ -381,8 +385,8 @@ def verified(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants) ->
 
 
 def has_backup_trajectory(x: Tensor, w: AttitudeConstants) -> Tensor:
-    """(B,) bool: from true states (16, B) whatever is measured the law keeps the attitude's limits."""
+    """Checks whether the law satisfies the attitude's limits from true states (16, B), whatever is measured, (B,)."""
     none = torch.zeros_like(x[0])
-    # a plant's rate may be one relative to the stars
+    # a plant's rate may be relative to the stars
     late = torch.zeros_like(x[:2])
     return trajectory_margin(x, Spread(none, none + w.offset, none, none, none, late), w) >= 0.0

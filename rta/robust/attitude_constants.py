@@ -1,6 +1,6 @@
 """Constants of the law of torque with error bounds, see `rta.robust.attitude_check`; derived once.
 
-Errors and the rates that they leave are per body axis. The panels' axis d is the first one, so "about d" is that, and
+Errors and the remaining rates are per body axis. The panels' axis d is the first axis. "About d" means the first axis,
 "across d" either of the others.
 """
 
@@ -17,23 +17,23 @@ from inspection.world.uncertainty import Uncertainty
 from rta.check.commit import NoCheckError
 from rta.check.flight import Flight
 
-POINTING, ROLLING = 0.123, 0.098  # kappa, of pointing and of rolling, as shares of g / tau
-ROLL = 0.9  # of W
-SATURATED = 0.84  # rad, from which on the panels turn at W: before the battery is at its lowest
-BEGINS, FULL = 0.32, 0.2  # rad from the Sun, at which the roll begins, and at which it is full
-OVERSHOOT = 1.2  # of a hold's G t / tau at most: an error may change its sign, and leaves a fifth
-TORQUE_LEFT = 1.745  # of max_rate, that rates may be from the law's: what a torque brings them to in tau
-LOOKAHEAD = 4.0  # times tau / g, of `followed`
+POINTING, ROLLING = 0.123, 0.098  # kappa of pointing and of rolling, as shares of g / tau
+ROLL = 0.9  # the largest roll rate as a share of W
+SATURATED = 0.84  # rad, above which the panels turn at W; the battery is lowest above it
+BEGINS, FULL = 0.32, 0.2  # rad from the Sun at which the roll begins, and at which it is full
+OVERSHOOT = 1.2  # largest G t / tau of a hold: an error may change its sign, and 20 % of it remains
+TORQUE_LEFT = 1.745  # in max_rate: rates this far from the law's are corrected by torque within tau
+LOOKAHEAD = 4.0  # duration of `followed`, in tau / g
 ROOT2, ROOT3 = math.sqrt(2.0), math.sqrt(3.0)
-TURNS, FALLS = 80, 100  # of a fixed point's iteration; parts of the fall of delta
+TURNS, FALLS = 80, 100  # iterations of a fixed point; parts of the fall of delta
 
 
 @dataclass(frozen=True)
 class Level:
-    """What errors leave in the long run: rates in rad/s, per axis.
+    """Holds the long-term effect of errors on the rates, in rad/s per axis.
 
     Attributes:
-        across, along: of z across d and about it; rolling: of the rate about d.
+        across, along: of z across d and about d; rolling: of the rate about d.
     """
 
     across: float
@@ -43,24 +43,24 @@ class Level:
 
 @dataclass(frozen=True)
 class AttitudeConstants:
-    """What the law and its check depend on.
+    """Holds the constants of the law and of its check.
 
     Attributes:
-        look: of a hold, as the model has it, in steps of a period.
-        period, lag: s, between calls, and of a state's age; hold_periods: that a control may be held.
-        tau: s; slowest, fastest: 1/s, g / tau and G / tau; share: of a command, that an acceleration is off by.
-        kappa, kappa_roll: 1/s; spin: of gyroscopic accelerations about d and across it, in rad/s^2 per (rad/s)^2.
-        attitude, noise: rad and rad/s, as they are measured; unknown: rad/s, of Hill's frame; offset: the same, where
-            limits are of rates relative to the stars.
-        steepest: cot(delta) at most, while the panels turn at `rate`.
-        rate, roll: rad/s at most, W and R.
+        look: how a hold is tested, by the model, in steps of a period.
+        period, lag: s, between calls, and a state's age; hold_periods: the longest hold of a control in periods.
+        tau: s; slowest, fastest: 1/s, g / tau and G / tau; share: of a command, by which an acceleration is off.
+        kappa, kappa_roll: 1/s; spin: gyroscopic accelerations about d and across d, in rad/s^2 per (rad/s)^2.
+        attitude, noise: rad and rad/s, errors of the measurement; unknown: rad/s, of Hill's frame; offset: the same,
+            where limits are for rates relative to the stars.
+        steepest: the largest cot(delta) while the panels turn at `rate`.
+        rate, roll: largest rad/s, W and R.
         turning, near: levels of errors where the panels turn at W, and where they slow down.
-        slow, slow_near, slow_far: rad/s, by which delta falls there at least, and where the panels face away from the
-            Sun and have not come to W yet.
-        angle: rad, by which an attitude is taken for another at most.
-        lit, facing, rolling: s, of full light by the Sun, of the Earth's beside it, and of the Earth's alone while the
-            body hardly rolls, that heat the surface as much as the trajectory does once the panels slow down.
-        warmest: deg C, that it comes to at rest.
+        slow, slow_near, slow_far: rad/s, the slowest fall of delta there, and where the panels face away from the Sun
+            and have not reached W yet.
+        angle: rad, the largest error of an attitude.
+        lit, facing, rolling: s of full light by the Sun, of the Earth's light beside it, and of the Earth's alone while
+            the body hardly rolls. They heat the surface as much as the trajectory does once the panels slow down.
+        warmest: deg C, the temperature at rest.
     """
 
     c: Limits
@@ -95,7 +95,7 @@ class AttitudeConstants:
 
     @classmethod
     def of(cls, c: Limits, period: float, uncertainty: Uncertainty) -> "AttitudeConstants":
-        """Raises NoCheckError where no attitude of rest is known within the bounds."""
+        """Derives the constants; raises NoCheckError if no attitude of rest is known within the bounds."""
         lag = uncertainty.latency * period
         hold_periods = math.ceil(uncertainty.hold(period) / period - 1e-9)
         least, most = uncertainty.torque
@@ -118,9 +118,9 @@ class AttitudeConstants:
         excluded = c.field_of_view / 2 + c.exclusion_buffer
         over = max(w.fastest * hold_periods * period, 1.0)
         rates = (
-            c.max_rate - w.worst / w.slowest,  # a body that turns at its limit is braked
+            c.max_rate - w.worst / w.slowest,  # a body that turns at its limit slows down
             ((2.0 - over) * c.max_rate - w.worst * hold_periods * period)
-            / over,  # and does not overshoot the other one
+            / over,  # the rate does not overshoot the opposite limit
             tau * strongest - c.max_rate,  # torque is never at its limit
         )
         rate = min(min(rates) - n - rate_error, math.sin(SATURATED) * w.kappa)
@@ -145,36 +145,39 @@ class AttitudeConstants:
 
     @property
     def worst(self) -> float:
-        """rad/s^2, of each axis, that the model does not know of, within the limits of the rates."""
+        """Returns the largest acceleration in rad/s^2 of an axis unknown to the model, within the rates' limits."""
         return max(self.spin) * self.c.max_rate**2 + self.unknown * ROOT3 * self.c.max_rate
 
     @property
     def dim(self) -> float:
-        """rad from the Sun, down to which a trajectory warms the surface by more than less light allows it."""
+        """Returns the angle from the Sun in rad down to which the surface warms faster than its limit relaxes.
+
+        The temperature's limit relaxes as less light falls on the surface.
+        """
         sun, _, _ = heating(self.c)
         return max(math.asin(min(self.c.temperature_sun_slope * self.rate / sun, 1.0)), FULL)
 
     def pace(self, delta: float) -> float:
-        """rad/s, at which the panels turn so far from the Sun, in rad."""
+        """Returns the rate in rad/s at which the panels turn at the angle `delta` in rad from the Sun."""
         return min(self.kappa * math.sin(delta), self.rate)
 
     def measured(self, command: Any, unknown: Any) -> tuple[Any, Any]:
-        """rad/s and rad, of each axis, by which a rate and an attitude are off when a call answers.
+        """Returns the errors of a rate in rad/s and of an attitude in rad, of each axis, when a call answers.
 
         Args:
-            command: rad/s^2, at most, of what was sent since; unknown: rad/s^2, unknown to the model. Numbers
-                or tensors.
+            command: largest rad/s^2 that was commanded since the measurement; unknown: rad/s^2, unknown to the model.
+                Numbers or tensors.
         """
         off = self.share * command + unknown
         angle = self.attitude + self.lag * self.noise + off * self.lag**2 / 2
         return self.noise + self.unknown * ROOT2 * angle + self.lag * off, angle
 
     def level(self, u: float | None, roll: float, tilt: float = 0.0, by_axis: bool = False) -> Level:
-        """Where |z| settles.
+        """Returns the level at which |z| settles.
 
         Args:
-            u: sin(delta) at most, or its part along each axis `by_axis`; None: the panels turn at W.
-            roll: rad/s, that the law rolls at most; tilt: tan(delta / 2) at most.
+            u: the largest sin(delta), or its part along each axis if `by_axis`; None: the panels turn at W.
+            roll: rad/s, the law's largest roll rate; tilt: the largest tan(delta / 2).
         """
         z = z_d = e = e_d = 1e-4
         for _ in range(TURNS):
@@ -201,12 +204,12 @@ class AttitudeConstants:
         return Level(z, z_d, roll + z_d)
 
     def lowest_at(self, slow: float) -> float:
-        """rad from the Sun, at which the battery is at its lowest while delta falls by so many rad/s."""
+        """Returns the angle from the Sun in rad at which the battery is lowest while delta falls at `slow` rad/s."""
         c = self.c
         return math.acos(min((c.power_draw / 1000.0 - c.energy_sun_slope * slow) / self.look.charging, 1.0))
 
     def settled(self) -> "AttitudeConstants":
-        """With what the surface gains on the last part of the trajectory, and comes to at rest."""
+        """Returns the constants with the surface's heating at the end of the trajectory, and its temperature there."""
         c = self.c
         gone = self.rate / self.kappa
 
@@ -216,7 +219,7 @@ class AttitudeConstants:
         def pulled(u: float, level: Level) -> float:
             return ROOT2 * level.across / (self.kappa * math.sqrt(1.0 - u**2))
 
-        # while the body rolls, in any direction; then at rest, along each axis
+        # Bound delta while the body rolls, in any direction; then at rest, along each axis.
         u = math.sin(BEGINS)
         for _ in range(TURNS):
             u = min(u, pulled(u, rolled(u)))
@@ -241,7 +244,7 @@ class AttitudeConstants:
         warmest = (c.max_temperature + c.zero_celsius) * (
             (sun * u + earth * math.hypot(u, aside)) / -dark
         ) ** 0.25
-        # while delta falls from where the panels slow down
+        # Add up the light while delta falls from where the panels slow down.
         lit, facing = 0.0, 0.0
         for i in range(FALLS):
             high, low = (gone + (1.05 * most - gone) * j / FALLS for j in (i, i + 1))
@@ -264,7 +267,7 @@ class AttitudeConstants:
 
 
 def heating(c: Limits) -> tuple[float, float, float]:
-    """deg C/s, of full light by the Sun and by the Earth, and of none at the highest temperature."""
+    """Returns the heating in deg C/s of full light by the Sun, by the Earth, and of none at the highest temperature."""
     one, none = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
     hot = c.max_temperature * one
     dark = temperature_rate(none, none, hot, c).item()
@@ -273,7 +276,7 @@ def heating(c: Limits) -> tuple[float, float, float]:
 
 
 def spins(c: Limits, uncertainty: Uncertainty, most: float) -> tuple[float, float]:
-    """Gyroscopic accelerations at most, about the first body axis and across it, with what the law takes for them."""
+    """Returns the largest gyroscopic accelerations about the first body axis and across it, with the law's share."""
 
     def worst(i: int) -> float:
         j, k = (i + 1) % 3, (i + 2) % 3

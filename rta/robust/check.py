@@ -1,11 +1,11 @@
 """The check with error bounds: a control is applied if every backup trajectory within them is safe.
 
-States are known within bounds only, and a control may be held for one call or for several. Torque is applied if, from
-every state that may be true, it keeps the attitude's limits while it is held, and a backup trajectory to rest
-(`rta.robust.attitude_check`) begins at every call that may end that; thrust likewise with the limits of motion
-and a backup trajectory into the terminal set (`rta.robust.motion_check`). Neither trajectory depends on what the
-other group does. That keeps the limits from every state from which a backup trajectory begins, whatever is measured.
-So, by induction over the true states, none is ever broken (docs/reference/proof_with_bounds.md).
+States are known only within bounds, and a control may be held for one call or for several. Torque is applied if two
+conditions hold for every possible true state: torque satisfies the attitude's limits while it is held, and a backup
+trajectory to rest (`rta.robust.attitude_check`) begins at every call that may end the hold. Thrust is applied likewise,
+with the limits of motion and a backup trajectory into the terminal set (`rta.robust.motion_check`). Neither trajectory
+depends on the other group's control. From every state from which a backup trajectory begins, the limits then hold for
+any measurement. So, by induction over the true states, no limit is ever violated (docs/reference/proof_with_bounds.md).
 """
 
 from collections.abc import Callable
@@ -30,11 +30,11 @@ T = TypeVar("T")
 
 
 class RobustCheck(Check):
-    """The check with error bounds.
+    """Checks controls with error bounds.
 
     Attributes:
-        terminal_set: the law of thrust and its terminal set; attitude: the constants of the law of torque. None: none
-            is safe.
+        terminal_set: the law of thrust and its terminal set; attitude: the constants of the law of torque. None: no
+            control of the group is safe.
     """
 
     size = SIZE + KINDS
@@ -59,21 +59,22 @@ class RobustCheck(Check):
         return found
 
     def fit(self, y: Tensor, h: Tensor) -> tuple[Tensor, Tensor]:
-        """Leaves a group unchecked where one of its limits is surely broken: no backup trajectory begins there.
+        """Returns no violated limits, and which groups can be checked, see `Check.fit`.
 
-        States that are not possible cannot be checked.
+        A group is not checked where one of its limits is surely violated, since no backup trajectory begins there, or
+        where the state is not possible.
         """
         possible = is_state(y[:SIZE], self.c) & (y[SIZE:] <= LARGEST).all(0)
         found = possible & (self.may_be_kept(y) >= 0.0)
         return torch.zeros_like(y[:LIMITS], dtype=torch.bool), found
 
     def led(self, y: Tensor, broken: Tensor, fit: Tensor) -> Tensor:
-        """As `Check.led`: where no control can be checked, but the state is one."""
+        """Returns as `Check.led` which groups follow their law: those that cannot be checked at possible states."""
         known = torch.stack([torch.full_like(fit[0], each) for each in self.knows])
         return known & ~fit & is_state(y[:SIZE], self.c)
 
     def may_be_kept(self, y: Tensor) -> Tensor:
-        """The most that the least limit of thrust and of torque can be, (2, B); -1 without a backup trajectory."""
+        """Returns an upper bound of the least limit of thrust and of torque, (2, B); -1 without a backup trajectory."""
         x, error_bound = y[:SIZE], y[SIZE:]
         none = -torch.ones_like(x[0])
         return torch.stack(
@@ -97,13 +98,13 @@ class RobustCheck(Check):
             (attitude,) = when(asked[1], keeps_attitude, [attitude], y, u, w, waits=True)
         if v := self.terminal_set:
             open_ = asked[0]
-            if self.attitude:  # where torque is not safe thrust is looked at with another one
+            if self.attitude:  # where torque is not safe, thrust is checked later with the replaced torque
                 open_ = open_ & (attitude | ~asked[1])
             (motion,) = when(open_, motion_check.keeps_motion, [motion], y, u, v, self.period, waits=True)
         return torch.stack((motion, attitude))
 
     def with_own(self, u: Tensor, group: int, own: Tensor) -> Tensor:
-        """As `Check.with_own`, rounded to what the actuators can give."""
+        """Replaces thrust or torque as `Check.with_own`, rounded to what the actuators can give."""
         u = super().with_own(u, group, own)
         if not (self.terminal_set and self.terminal_set.uncertainty.is_quantised):
             return u
@@ -113,22 +114,22 @@ class RobustCheck(Check):
 
 
 def attitude_law(y: Tensor, w: AttitudeConstants) -> Tensor:
-    """The law's torque (3, B) in N m."""
+    """Returns the law's torque (3, B) in N m."""
     return attitude_check.law(y[:SIZE], w)
 
 
 def motion_law(y: Tensor, torque: Tensor, w: RobustTerminalSet) -> Tensor:
-    """The law's thrust (3, B) in N while torque (3, B) is held."""
+    """Returns the law's thrust (3, B) in N while torque (3, B) is held."""
     return thrust(y[:SIZE], torque, w)
 
 
 def keeps_attitude(y: Tensor, u: Tensor, w: AttitudeConstants) -> list[Tensor]:
-    """(B,) bool: torque of controls (6, B) keeps the limits, as the backup trajectory does."""
+    """Checks whether torque of controls (6, B) and the backup trajectory satisfy the limits, (B,) bool."""
     return [attitude_check.verified(y[:SIZE], u, y[SIZE:], w) >= 0.0]
 
 
 def made(make: Callable[..., T], *given: Any) -> tuple[T | None, str]:
-    """Returns what is made, or None and why nothing is known."""
+    """Returns what `make` returns, or None and the reason if no check is known."""
     try:
         return make(*given), ""
     except NoCheckError as error:
@@ -136,7 +137,7 @@ def made(make: Callable[..., T], *given: Any) -> tuple[T | None, str]:
 
 
 def terminal_set_of(c: Limits, period: float, uncertainty: Uncertainty) -> RobustTerminalSet:
-    """Raises NoCheckError where the bounds leave no invariant set, and beside a hull."""
+    """Returns the terminal set; raises NoCheckError if the bounds leave none, or beside a hull."""
     if c.hill_rotation:
         raise NoCheckError("the turning of Hill's frame must be left out (hill_rotation = false)")
     if c.planes:
@@ -145,7 +146,7 @@ def terminal_set_of(c: Limits, period: float, uncertainty: Uncertainty) -> Robus
 
 
 def attitude_constants_of(c: Limits, period: float, uncertainty: Uncertainty) -> AttitudeConstants:
-    """Raises NoCheckError without a backup trajectory to rest within the bounds, or of this vehicle."""
+    """Returns the constants; raises NoCheckError if the bounds or the vehicle leave no trajectory to rest."""
     if c.hill_rotation:
         raise NoCheckError("the turning of Hill's frame must be left out (hill_rotation = false)")
     if not has_rest(c):

@@ -1,14 +1,14 @@
-"""Motion with error bounds: the cone around a backup trajectory, and the limits of motion on it.
+"""Motion with error bounds: the tube around a backup trajectory, and the limits of motion in it.
 
-By the law of `rta.robust.terminal_set` w = S w_0 + r, from call to call. S falls from 1 to 0, and |r| stays
-below a bound R(S), for the law aims anew at every call. So a backup trajectory is a path of S alone, but for errors:
+By the law of `rta.robust.terminal_set` w = S w_0 + r, from call to call. S falls from 1 to 0. |r| stays below a bound
+R(S), because the law aims anew at every call. So a backup trajectory is a path of S alone, except for errors:
 
     w   is within R(S) of S w_0
     p   is along w_0 between two distances, as thrust is stronger or weaker, and across it within the integral of R
 
-Each limit has a lower bound on a chord between two values of S, as of `rta.check.intersample_bounds`, with strays of
-each end. The backup trajectory ends in the terminal set. The derivation is in docs/reference/proof_with_bounds.md,
-*Motion*.
+Each limit has a lower bound on a chord between two values of S, as in `rta.check.intersample_bounds`, with errors of
+each end. The backup trajectory ends in the terminal set. docs/reference/proof_with_bounds.md, *Motion*, has the
+derivation.
 """
 
 import math
@@ -24,22 +24,22 @@ from inspection.model.state import P, V
 from rta.check.intersample_bounds import NEAREST, NEVER, lowest, nearer
 from rta.robust.terminal_set import Errors, RobustTerminalSet
 
-CHORDS, DENSER = 7, 2.0  # of a backup trajectory; the power of evenly spaced numbers that S is at their ends
-ALMOST = 0.8  # of the difference between what the errors leave of w and what is calm, at which it may end
-# By what a backup trajectory may be off its straight line, which is looked at: m, share of its length, times what it
-# begins with.
+CHORDS, DENSER = 7, 2.0  # chords of a trajectory; S at their ends is this power of evenly spaced numbers
+ALMOST = 0.8  # share of the way from the errors' final |w| to the calm speed at which it may end
+# Allowed deviation of a backup trajectory from its straight line: m, share of its length, factor of its first error.
+# Each chord tests it.
 ALLOWED = (3.0, 0.8, 3.0)
-DEEPER = 1.5  # of its length, that its end may be nearer to the chief for the calm speed there
+DEEPER = 1.5  # in its length: how much closer to the chief its end may be, for the calm speed at its end
 
 
 class Node(NamedTuple):
-    """Bounds of a backup trajectory at one value of S, each but y (...).
+    """Holds bounds of a backup trajectory at one value of S, each but y (...).
 
     Attributes:
         y: (6, ...) position and velocity in its middle.
-        along, aside: m, by which it may be elsewhere along w_0 and across it.
-        velocity: m/s, by which v may be another; ahead: by how much more of it along w_0.
-        speed: m/s, |v| at most.
+        along, aside: m, errors of position along w_0 and across it.
+        velocity: m/s, error of v; ahead: its largest excess along w_0.
+        speed: m/s, the largest |v|.
     """
 
     y: Tensor
@@ -51,10 +51,10 @@ class Node(NamedTuple):
 
 
 class Fall(NamedTuple):
-    """Bounds of |w| and |r| as S falls from s, at which they are `swift` and `wide` in m/s; each (...).
+    """Holds bounds of |w| and |r| as S falls from s, where they are `swift` and `wide` in m/s; each (...).
 
-    Of |w|, with E for the errors' calm speed, (swift - E) (S / s)^fall + E; of |r|, rest (S / s)^gamma + E - slack S.
-    Both are concave in S.
+    With E for the errors' calm speed, the bound of |w| is (swift - E) (S / s)^fall + E, and the bound of |r| is
+    rest (S / s)^gamma + E - slack S. Both are concave in S.
     """
 
     s: Tensor
@@ -69,37 +69,44 @@ class Fall(NamedTuple):
     def of(
         cls, s: Tensor, swift: Tensor, wide: Tensor, whole: Tensor, errors: Errors, w: RobustTerminalSet
     ) -> "Fall":
-        """`whole`: |w_0| in m/s at most."""
+        """Returns the bounds from s on.
+
+        Args:
+            whole: the largest |w_0| in m/s.
+        """
         slack = errors.share / (1.0 - errors.decay) * whole
         rest = (wide - errors.calm + slack * s).clamp(min=0.0)
         swift = torch.maximum(swift, errors.calm)
         return cls(s, swift, rest, slack, power(errors.decay, w), power(errors.swift, w), errors.calm)
 
     def speed(self, x: Tensor) -> Tensor:
-        """m/s, of |w| at S = x at most."""
+        """Returns the largest |w| in m/s at S = x."""
         return (self.swift - self.calm) * (x / self.s) ** self.fall + self.calm
 
     def wide(self, x: Tensor) -> Tensor:
-        """R in m/s at S = x."""
+        """Returns R in m/s at S = x."""
         return self.rest * (x / self.s) ** self.gamma + self.calm - self.slack * x
 
     def widens(self, x: Tensor) -> Tensor:
-        """dR / dS in m/s."""
+        """Returns dR / dS in m/s."""
         return self.rest * self.gamma / self.s * (x / self.s) ** (self.gamma - 1.0) - self.slack
 
     def widest(self, after: Tensor) -> Tensor:
-        """m/s, the largest R between s and an S after it."""
+        """Returns the largest R in m/s between s and a later S."""
         ratio = (self.slack * self.s / (self.rest * self.gamma).clamp(min=1e-30)).clamp(min=1e-30)
         return self.wide((self.s * ratio ** (1.0 / (self.gamma - 1.0))).minimum(self.s).maximum(after))
 
 
 def across(along: Tensor, aside: Tensor) -> Tensor:
-    """The length of what is so long in two right-angled directions, in operations that vectors have."""
+    """Returns the length of a vector by two right-angled parts, in operations that vectors of C have."""
     return (along**2 + aside**2).sqrt()
 
 
 def power(share: Tensor, w: RobustTerminalSet) -> Tensor:
-    """Returns the largest k with 1 - share x <= (1 - x)^k for all x up to `w.most`: a hold takes x of S away."""
+    """Returns the largest k with 1 - share x <= (1 - x)^k for all x up to `w.most`.
+
+    A hold takes the share x of S away.
+    """
     return (1.0 - w.most * share).clamp(min=1e-9).log() / math.log(1.0 - w.most)
 
 
@@ -108,15 +115,15 @@ def trajectory_margin(
 ) -> Tensor:
     """Returns a lower bound of the limits of motion on the backup trajectory, negative unless it ends in the set: (B,).
 
-    From all true positions and velocities within e_p m and e_v m/s of p and v (3, B).
+    The bound holds for all true positions and velocities within e_p m and e_v m/s of p and v (3, B).
 
     Args:
-        first: m/s, by which the law's first calls see v farther off, since another control was held before.
+        first: m/s, additional error of v at the law's first calls, since another control was held before.
     """
     off = v - w.field(p)
     size = norm(off)
     u = off / size.clamp(min=1e-12)
-    # which distances it meets: assumed here, looked at on each chord
+    # The distances on the way are assumed here and tested on each chord.
     rough = size + e_v
     length = rough * (rough / (1.7 * w.full)).clamp(min=w.slow) / w.low
     back = (-dot(p, u)).clamp(min=0.0).minimum(length)
@@ -138,13 +145,13 @@ def trajectory_margin(
     parts = []
     for i in range(CHORDS):
         after = (1.0 - (1.0 - end ** (1.0 / DENSER)) * ((i + 1) / CHORDS)) ** DENSER
-        errors = w.errors(swift / (1.0 - w.most), nearest, farthest)  # of all calls that lead to here
+        errors = w.errors(swift / (1.0 - w.most), nearest, farthest)  # of all calls up to here
         bounds = Fall.of(s, swift, wide, whole, errors, w)
         step, ratio, middle = s - after, (s / after).log(), (s + after) / 2
         seen = errors.seen + first
 
         def lasts(x: Tensor, bounds: Fall = bounds, errors: Errors = errors, seen: Tensor = seen) -> Tensor:
-            """s, of S dt / dS at S = x at most."""
+            """Returns an upper bound in s of S dt / dS at S = x."""
             asked = (bounds.speed(x) * (1.0 + errors.late) + seen) / w.full
             return asked.clamp(min=w.slow) / (w.low * (1.0 - w.stretch))
 
@@ -158,7 +165,7 @@ def trajectory_margin(
         swept = slowest * ((bounds.wide(middle) - tangent * middle) * ratio + tangent * step)
         stray = w.stray(bounds.speed(s), farthest) + late
         swept = swept + stray * longest + e_w * mean * step
-        steeper = bounds.fall * (bounds.swift - bounds.calm) / s  # d|w| / dS, of its tangent at s
+        steeper = bounds.fall * (bounds.swift - bounds.calm) / s  # d|w| / dS, the slope of the bound at s
         lean = bounds.swift - s * size, bounds.swift - steeper * step - after * size
         more = torch.maximum(*lean).clamp(min=0.0) * longest
         far, near = (
@@ -171,7 +178,7 @@ def trajectory_margin(
         wander = errors.steep * (far + errors.drift * longest + along + aside) * longest + drift * spread
         then = at + (far + near) / 2 * u + (longest + shortest) / 2 * ref
         then_along, then_aside = along + (far - near) / 2 + wander, aside + swept + wander
-        bent = errors.steep * norm(then - at) / 2  # the field between
+        bent = errors.steep * norm(then - at) / 2  # the field's deviation between both ends
         sag = size * (slowest - quickest) * step / 4
 
         def node(
@@ -183,7 +190,10 @@ def trajectory_margin(
             other: Tensor = e_w * s + stray + bent,
             sag: Tensor = sag,
         ) -> Node:
-            """At S = x and a position; of `kmh` R, how much more w may be along w_0, and |w|."""
+            """Returns the node at S = x and a position.
+
+            `kmh` holds R, how much more w may be along w_0, and |w|.
+            """
             there = w.field(where)
             own = other + errors.steep * (m[0] + m[1])
             return Node(
@@ -215,12 +225,12 @@ def trajectory_margin(
 def between(
     start: Node, end: Node, u: Tensor, nearest: Tensor, farthest: Tensor, w: RobustTerminalSet
 ) -> Tensor:
-    """The least of each limit of motion between two nodes, and of the room to two distances in m: (8, ...).
+    """Returns lower bounds of the limits of motion between two nodes, and of the distance to two radii in m: (8, ...).
 
-    As `rta.check.intersample_bounds.between`, with strays that change linearly from node to node.
+    As in `rta.check.intersample_bounds.between`, but the errors change linearly from node to node.
 
     Args:
-        u: (3, ...) the direction of w_0, or zero, where strays have none.
+        u: (3, ...) the direction of w_0, or zero if errors have no direction.
     """
     c, ends = w.c, (start, end)
     n = unit(start.y[P] + end.y[P])
@@ -235,17 +245,17 @@ def between(
     eta = norm(end.y[P] - start.y[P]) / least
     sag = (2 * norm(end.y[V] - start.y[V]) * eta + 3 * fastest * eta**2) / 8
 
-    # of p and u; the angle passes a right one or is largest at one of the ends
+    # the sine of the angle between p and u: it is largest where the angle is a right one, or at one of the ends
     sine = torch.maximum(*(b / d for b, d in zip(beside, distance, strict=True))).clamp(max=1.0)
     sine = torch.where(ahead[0] * ahead[1] <= 0.0, 1.0, sine)
     leaves = torch.minimum(*ahead) > 0.0
-    # p may be seen from the chief in another direction, so that v is less or more along it
+    # p may have another direction from the chief, so that v has a smaller or larger part along it
     turned = (torch.maximum(*(across(e.along, e.aside) for e in ends)) / least).clamp(max=1.0)
     stray = torch.maximum(*(e.velocity + e.ahead for e in ends))
     turned = sine * fastest * turned + fastest * turned**2 + math.sqrt(2.0) * turned * stray
 
     def braking(z: Tensor) -> Tensor:
-        """sqrt(2 a_max z) in m/s."""
+        """Returns sqrt(2 a_max z) in m/s."""
         return torch.where(z > 0.0, (2 * c.max_acceleration * z.clamp(min=0.0)).sqrt(), -NEVER)
 
     collision, zone, limit = [], [], []
@@ -269,7 +279,7 @@ def between(
 
 
 def clearance(ends: Sequence[Node], farthest: Tensor, fastest: Tensor, w: RobustTerminalSet) -> Tensor:
-    """As `rta.check.intersample_bounds.clearance`, each node with its own strays: (...) in m."""
+    """Returns the clearance as `rta.check.intersample_bounds.clearance`, each node with its own errors: (...) in m."""
     c, free, y = w.c, w.free, ends[0].y
     cell, times = free.times(y, c)
     corners = []

@@ -1,4 +1,4 @@
-"""The filter with error bounds: predicts states that are old, rounds to what thrusters give, has its own check."""
+"""The filter with error bounds: it predicts old states, rounds to what thrusters give, and has its own check."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -25,10 +25,10 @@ from rta.robust.prediction import KINDS, predicted
 
 
 class RobustFilter(SafetyFilter):
-    """`SafetyFilter` whose controls are safe whatever is true within bounds.
+    """Filters as `SafetyFilter`; its controls are safe for all errors within bounds.
 
     Args:
-        uncertainty: the bounds of what the model and the measured state may be off by.
+        uncertainty: bounds of the errors of the model and of the measured state.
     """
 
     FIXED: tuple[str, ...] = (*SafetyFilter.FIXED, "uncertainty")
@@ -50,12 +50,12 @@ class RobustFilter(SafetyFilter):
 
     @property
     def longest_hold(self) -> float:
-        """Returns s for which a control is held at most."""
+        """Returns the longest time in s for which a control is held."""
         return self.uncertainty.hold(self.period)
 
     @property
     def largest_rate(self) -> float:
-        """Returns `SafetyFilter.largest_rate` less what the rates may be off by."""
+        """Returns `SafetyFilter.largest_rate` less the error of the rates."""
         *_, rate = self.uncertainty.radii
         return max(0.0, super().largest_rate - rate - self.uncertainty.unknown_turning(self.c))
 
@@ -64,12 +64,12 @@ class RobustFilter(SafetyFilter):
         return RobustCheck(self.c, self.period, self.uncertainty)
 
     def probe(self, device: torch.device | str = "cpu") -> list[Tensor]:
-        """Returns the arguments of `SafetyFilter.probe` and controls sent."""
+        """Returns the arguments of `SafetyFilter.probe` and the controls held since the measurement."""
         x, u = super().probe(device)
         return [x, u, u.expand(self.uncertainty.latency, CONTROL_SIZE, 1)]
 
     def safety(self, enabled: bool = True) -> Safety:
-        """As `SafetyFilter.safety`; the filter takes what was sent since a state was measured."""
+        """Returns `SafetyFilter.safety`, whose filter also takes the controls held since the measurement."""
         return replace(super().safety(enabled), takes_plant_data=True)
 
     @in_full_precision
@@ -78,8 +78,8 @@ class RobustFilter(SafetyFilter):
 
         Args:
             sent: (k, 6, B) the controls held since the states were measured, the oldest first, each for a period; NaN
-                where a state is younger. Of more than `latency` the state is too old: the status is UNSOLVED, and the
-                control is not verified.
+                for controls before the measurement. With more than `latency` controls the state is too old: the status
+                is UNSOLVED, and the control is not verified.
         """
         check_tensors(x=x, desired=desired)
         with torch.no_grad():
@@ -93,7 +93,7 @@ class RobustFilter(SafetyFilter):
         return never if sent is None or not count else torch.cat((never, sent[-count:]))
 
     def unless_old(self, result: FilterResult, sent: Tensor | None) -> FilterResult:
-        """Returns an answer that is neither solved nor verified where more than `latency` controls were sent."""
+        """Returns the answer, neither solved nor verified where more than `latency` controls were sent."""
         if sent is None:
             return result
         old = (~sent.isnan().any(1)).sum(0) > self.uncertainty.latency
@@ -112,7 +112,7 @@ class RobustFilter(SafetyFilter):
         return self.committed(torch.cat((x, error_bound)), desired, proposed)
 
     def predict(self, x: Tensor, error_bound: Tensor, u: Tensor) -> list[Tensor]:
-        """`predicted` by the filter's model, of states (16, B) and (4, B) under controls (6, B)."""
+        """Returns `predicted` by the filter's model, for states (16, B) and bounds (4, B) under controls (6, B)."""
         return list(predicted(x, error_bound, u, self.c, self.period, self.uncertainty))
 
     def possible(self, u: Tensor) -> Tensor:
@@ -125,5 +125,5 @@ class RobustFilter(SafetyFilter):
 def rebuilt(
     c: InspectionParameters, parameters: RtaParameters, extra: Mapping[str, Limit], bounds: Uncertainty
 ) -> RobustFilter:
-    """Makes a filter of a pickled one's parts."""
+    """Returns a filter made of a pickled filter's parts."""
     return RobustFilter(c, parameters, extra, uncertainty=bounds)

@@ -1,6 +1,6 @@
-"""Checks thrust with error bounds: from every state within them, while it is held, and on the backup trajectory.
+"""The check of thrust with error bounds: for every state within them, in the hold, and on the backup trajectory.
 
-A backup trajectory (`rta.robust.error_tube`) has to begin at every call that may end the hold
+A backup trajectory (`rta.robust.error_tube`) must begin at every call that may end the hold
 (docs/reference/proof_with_bounds.md, *Motion*).
 """
 
@@ -17,20 +17,20 @@ from rta.robust.error_tube import Node, between, trajectory_margin
 from rta.robust.prediction import predicted
 from rta.robust.terminal_set import RobustTerminalSet
 
-FAR = 1e6  # m, beyond every distance: of a hold nothing is assumed of where it leads
+FAR = 1e6  # m, beyond every distance, since a hold may lead anywhere
 
 
 def has_backup_trajectory(x: Tensor, w: RobustTerminalSet) -> Tensor:
-    """(B,) bool: from true states (16, B) the law keeps the limits of motion, whatever is measured."""
+    """Checks whether the law satisfies the limits of motion from true states (16, B), whatever is measured, (B,)."""
     none = torch.zeros_like(x[0])
     return trajectory_margin(x[P], x[V], none, none, none, w) >= 0.0
 
 
 def keeps_motion(y: Tensor, u: Tensor, w: RobustTerminalSet, period: float) -> list[Tensor]:
-    """(B,) bool: thrust of controls (6, B) keeps the limits, as the backup trajectory does; see `hold_bounds`.
+    """Checks whether thrust of controls (6, B) and the backup trajectory satisfy the limits, (B,) bool.
 
     Args:
-        y: states (16, B) as predicted, and by how much further than measured they may be off, (4, B).
+        y: states (16, B) as predicted, and how much further off than measured they may be, (4, B).
     """
     no = torch.zeros_like(y[0], dtype=torch.bool)
     kept, state, late = call(hold_at_a_glance, y, u, w, period)
@@ -40,7 +40,10 @@ def keeps_motion(y: Tensor, u: Tensor, w: RobustTerminalSet, period: float) -> l
 
 
 def hold_at_a_glance(y: Tensor, u: Tensor, w: RobustTerminalSet, period: float) -> list[Tensor]:
-    """(B,) bool: a hold keeps the limits; a state with bounds (20, B), and how late (B,), for all its ends."""
+    """Returns whether a hold satisfies the limits, (B,) bool, and one state with bounds for all of its ends.
+
+    The state with bounds is (20, B); how late it is, (B,), follows.
+    """
     hold = hold_bounds(y, u, w, period)
     middle = hold.x[(len(hold.x) - 1) // 2]
     shifted = [
@@ -54,7 +57,7 @@ def hold_at_a_glance(y: Tensor, u: Tensor, w: RobustTerminalSet, period: float) 
 
 
 def closely(y: Tensor, u: Tensor, w: RobustTerminalSet, period: float) -> list[Tensor]:
-    """(B,) bool: a hold keeps the limits, and so does the backup trajectory from each of its possible ends."""
+    """Checks whether a hold and the backup trajectory from each of its possible ends satisfy the limits, (B,) bool."""
     hold = hold_bounds(y, u, w, period)
     kept = hold.least >= 0.0
     for x, bound, late in zip(hold.x, hold.error_bound, hold.late, strict=True):
@@ -63,15 +66,15 @@ def closely(y: Tensor, u: Tensor, w: RobustTerminalSet, period: float) -> list[T
 
 
 def has_trajectory(y: Tensor, late: Tensor, w: RobustTerminalSet) -> list[Tensor]:
-    """(B,) bool: the backup trajectory from a possible end of a hold keeps the limits."""
+    """Checks whether the backup trajectory from a possible end of a hold satisfies the limits, (B,) bool."""
     return [call(trajectory_margin_at, y, late, w, long=w.free.cells) >= 0.0]
 
 
 def may_be_kept(x: Tensor, error_bound: Tensor, w: RobustTerminalSet) -> Tensor:
-    """The most that the least limit of motion but passive safety can be, (B,); below zero one is broken for sure.
+    """Returns an upper bound (B,) of the least limit of motion but passive safety; below zero a limit is violated.
 
-    States (16, B) may be off by what was measured and (4, B). From a state in which a limit is broken no backup
-    trajectory begins.
+    States (16, B) may be off by the measurement's error and (4, B). No backup trajectory begins at a state in which a
+    limit is violated.
     """
     c = w.c
     position, velocity, _, _ = w.uncertainty.radii
@@ -90,12 +93,12 @@ def may_be_kept(x: Tensor, error_bound: Tensor, w: RobustTerminalSet) -> Tensor:
 
 
 class HoldBounds(NamedTuple):
-    """What a hold leads to, call by call.
+    """Holds the results of a hold, call by call.
 
     Attributes:
-        least: (B,) lower bound of the limits while it lasts.
+        least: (B,) lower bound of the limits in the hold.
         x, error_bound: states (16, B) and (4, B) at every call that may end it.
-        late: (B,) m/s each, by which the law's first calls see v farther off then.
+        late: (B,) m/s each, additional error of v at the law's first calls after that.
     """
 
     least: Tensor
@@ -105,7 +108,11 @@ class HoldBounds(NamedTuple):
 
 
 def hold_bounds(y: Tensor, u: Tensor, w: RobustTerminalSet, period: float) -> HoldBounds:
-    """Bounds a hold of controls (6, B), period by period, until a limit may be broken; y: as of `keeps_motion`."""
+    """Returns bounds of a hold of controls (6, B), period by period, until a limit may be violated.
+
+    Args:
+        y: as in `keeps_motion`.
+    """
     x, error_bound = y[:SIZE], y[SIZE:]
     least, grown = torch.full_like(y[0], torch.inf), [error_bound[1]]
     found = HoldBounds(least, [], [], [])
@@ -116,7 +123,7 @@ def hold_bounds(y: Tensor, u: Tensor, w: RobustTerminalSet, period: float) -> Ho
         )
         least = torch.minimum(least, own)
         grown.append(error_bound[1])
-        # the law's first call measures what happened until then
+        # the first call of the law answers a measurement from `latency` calls ago
         before = k + 1 - w.uncertainty.latency
         found.x.append(x)
         found.error_bound.append(error_bound)
@@ -125,7 +132,7 @@ def hold_bounds(y: Tensor, u: Tensor, w: RobustTerminalSet, period: float) -> Ho
 
 
 def calls(w: RobustTerminalSet) -> int:
-    """For which a control may be held."""
+    """Returns for how many calls a control may be held."""
     return round(w.longest / w.period)
 
 
@@ -139,11 +146,11 @@ def trajectory_margin_at(y: Tensor, late: Tensor, w: RobustTerminalSet) -> Tenso
 def hold_period(
     x: Tensor, u: Tensor, error_bound: Tensor, w: RobustTerminalSet, period: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """A period of a hold: states, error bounds after it, and a lower bound of the limits in it; see `hold_bounds`."""
+    """Returns states and error bounds after a period of a hold, and a lower bound of the limits in it."""
     c, n, none = w.c, w.c.mean_motion, torch.zeros_like(x[0])
     position, velocity, _, _ = w.uncertainty.radii
     end, bound = predicted(x, error_bound, u, c, period, w.uncertainty)
-    # natural acceleration is another at another state
+    # natural acceleration depends on the state
     drift = (3 * n**2 * (position + bound[0]) + 2 * n * (velocity + bound[1])) * w.period
     bound = torch.stack((bound[0] + drift * w.period, bound[1] + drift, bound[2], bound[3]))
     push = (rotate(x[Q], u[THRUST]) + rotate(end[Q], u[THRUST])) / (2 * c.mass)

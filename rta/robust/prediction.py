@@ -1,4 +1,4 @@
-"""What a state that is some calls old has become, and how far it may be off then."""
+"""Prediction of a state that is some calls old, and of its error."""
 
 import math
 from dataclasses import replace
@@ -12,25 +12,25 @@ from inspection.model.parameters import Limits
 from inspection.model.state import THRUST, TORQUE
 from inspection.world.uncertainty import Uncertainty
 
-KINDS = 4  # of what is measured: position, velocity, attitude, rates
+KINDS = 4  # groups of measured quantities: position, velocity, attitude, rates
 
 
 def unsaturated(c: Limits) -> Limits:
-    """The model without the saturation of rates."""
+    """Returns the model without the saturation of rates."""
     return replace(c, saturate_rates=False)
 
 
 def predicted(
     x: Tensor, error_bound: Tensor, u: Tensor, c: Limits, period: float, uncertainty: Uncertainty
 ) -> tuple[Tensor, Tensor]:
-    """The states a period after others, and how much further they may be off than when they were measured.
+    """Returns the states a period later, and how much further off they may be than when they were measured.
 
-    An acceleration that is off by A for T changes a velocity by A T and a position by A T^2 / 2 more than it was off.
-    Thrust is off by its size's error, by each thruster's misalignment, and by how far the body is turned otherwise.
+    An acceleration that is off by A for T adds A T to the error of velocity and A T^2 / 2 to the error of position.
+    Thrust is off by the error of its size, by each thruster's misalignment, and by the error of the attitude.
 
     Args:
-        x: (16, B); error_bound: (4, B) in m, m/s, rad, rad/s, how much further than measured they may be off already.
-        u: (6, B) the controls held since, NaN where a state is younger; it is left as it is.
+        x: (16, B); error_bound: (4, B) in m, m/s, rad, rad/s, how much further off than measured they may be already.
+        u: (6, B) the controls held since, NaN where a state is younger; such a state stays as it is.
 
     Returns:
         States (16, B) and (4, B).

@@ -1,24 +1,25 @@
 """Motion with error bounds: the braking law, the errors of its execution, and its terminal robust invariant set.
 
-The law is a function of what is measured, as that of `rta.check.motion_law`. There is a field of velocities v_ref(p):
-outwards beside the chief, inwards at the edge of the zone, none between. With w = v - v_ref(p), thrust is to give, from
-each call to the next,
+The law is a function of the measurement, like the law of `rta.check.motion_law`. The field of velocities v_ref(p) leads
+outwards beside the chief and inwards at the edge of the zone; it is zero between. With w = v - v_ref(p), thrust is to
+give, from each call to the next,
 
     G = A - f,    A = -w min(a / |w|, 1 / slow),
 
-f being the natural acceleration. Of what is asked for, the mean over a hold acts along it by a share kappa between
-`low` and `high`, and across it by the share `across` of that at most. So from call to call
+where f is the natural acceleration. The mean acceleration over a hold is a share kappa of G along G, between `low` and
+`high`, and across G at most the share `across` of that. So from call to call
 
     w+ = w - lambda (w + e) - c + d,    lambda = kappa hold min(a / |w + e|, 1 / slow) <= share,
 
-where w is seen off by e, |c| <= across lambda |w + e|, and d is what else accelerates. |w| falls to what the errors
-leave of it, and stays there. A spacecraft whose velocity is not known never rests: it drifts. So there is no rest to
-come to, but a *terminal robust invariant set*, which it never leaves, whatever is measured,
+where e is the error of the measured w, |c| <= across lambda |w + e|, and d contains all other accelerations. |w| falls
+to a level set by the errors, and stays below it. A spacecraft whose velocity is not known exactly never rests: it
+drifts. So the law does not end at rest, but in a *terminal robust invariant set*, which it never leaves for any
+measurement,
 
     nearest <= |p| <= max_distance,    |v - v_ref(p)| <= calm(|p|),
 
-since the field is faster than `calm` at both ends. Every limit of motion is kept in it: `RobustTerminalSet.of`
-certifies that once, and raises where it is not so. See docs/reference/proof_with_bounds.md, *Motion*.
+since the field is faster than `calm` at both ends. Every limit of motion is satisfied in it: `RobustTerminalSet.of`
+certifies that once, and raises an error if it fails. See docs/reference/proof_with_bounds.md, *Motion*.
 """
 
 import math
@@ -38,24 +39,25 @@ from rta.check.commit import NoCheckError
 from rta.check.intersample_bounds import FreeFlight, least_stretch
 from rta.robust.prediction import unsaturated
 
-EDGE = 1.0  # m inside the zone, from where on the field leads inwards as fast as anywhere
-CELLS = (11, 1)  # of passive safety's horizon, and searches in each; a prime, see `rta.check.flight`
-ROUNDS = 40  # of the equation for the calm speed, which the field depends on, which it depends on
-GRID = 4000, 100  # distances and times at which the set is looked at
+EDGE = 1.0  # m inside the zone's edge, where the field reaches its full speed inwards
+CELLS = (11, 1)  # cells of passive safety's horizon, searches in each; a prime, see `rta.check.flight`
+ROUNDS = 40  # iterations for the calm speed and the field, which depend on each other
+GRID = 4000, 100  # numbers of distances and times at which the set is tested
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """What the law and its set are tuned by. Any values will do, with `share` below 1: `certified` decides.
+    """Holds the tuning of the law and its set. Any values with `share` below 1 are safe: `certified` decides.
 
     Attributes:
-        share: of w, that a hold takes away at most: more leads to larger errors, less takes longer.
-        outwards, inwards: the field's speed beside the chief and at the edge, by the calm speed there.
-        steep: 1/s, by which the field falls off with distance.
-        beside: of the radius of collision, up to which the field leads outwards as fast as anywhere.
-        calmer: of what the errors leave of w, that counts as calm: a backup trajectory need not come down to it.
-        rising: of the rate at which that grows with distance.
-        arrived: of what the errors leave of w, to which a backup trajectory comes down at least.
+        share: the largest share of w that a hold takes away: more leads to larger errors, less takes longer.
+        outwards, inwards: the field's speed beside the chief and at the edge, in calm speeds at these places.
+        steep: 1/s, slope by which the field falls off with distance.
+        beside: in collision radii, the distance up to which the field has its full speed outwards.
+        calmer: the calm speed as a factor of the level set by the errors; a backup trajectory need not reach that
+            level.
+        rising: the calm speed's slope with distance, as a factor of the level's.
+        arrived: factor of the level set by the errors to which a backup trajectory comes down at least.
     """
 
     share: float
@@ -68,8 +70,8 @@ class Tuning:
     arrived: float
 
 
-# Each for the share of states from which a backup trajectory is verified: within U1, and within U1 with a smallest
-# thrust of 0.02 N or quanta of 0.05 N. The first that leaves a set is taken.
+# Both maximise the share of states from which a backup trajectory is verified: the first with the bounds U1, the second
+# with U1 and a smallest thrust of 0.02 N or quanta of 0.05 N. The first one that has a set is used.
 TUNINGS = (
     Tuning(0.25, outwards=1.2, inwards=1.3, steep=5e-4, beside=4 / 3, calmer=1.5, rising=1.8, arrived=1.1),
     Tuning(0.3, outwards=1.15, inwards=1.15, steep=2e-3, beside=2.0, calmer=1.03, rising=1.1, arrived=1.02),
@@ -78,11 +80,11 @@ TUNINGS = (
 
 @dataclass(frozen=True)
 class Errors:
-    """What the law leaves of w on a backup trajectory, by its errors there, each (...); see `RobustTerminalSet.errors`.
+    """Holds the effect of errors on w on a backup trajectory, each (...); see `RobustTerminalSet.errors`.
 
     Attributes:
-        calm: m/s, of |w| in the end.
-        share: of |w| that becomes an error while it falls; decay: of this error, that is taken back meanwhile.
+        calm: m/s, the final |w|.
+        share: of |w| that becomes an error while |w| falls; decay: of this error that is removed meanwhile.
         swift: by which |w| itself falls. All three are per share by which w is taken away.
         seen, late: m/s and share, |e| <= seen + late |w|.
         steep, drift: 1/s and m/s, of the field.
@@ -100,22 +102,23 @@ class Errors:
 
 @dataclass(frozen=True)
 class RobustTerminalSet:
-    """The law, the shares of what is not known of it, and its terminal robust invariant set.
+    """Holds the law, bounds of its execution errors, and its terminal robust invariant set.
 
     Attributes:
-        tuning: how it is chosen.
-        free: of free flight.
-        period, longest: s, of a call and of a control that is held at most; old: s, of a measurement at most.
-        aim: s of a hold, after which the body has the attitude that thrust is meant for.
+        tuning: how the set is tuned.
+        free: bounds of free flight.
+        period, longest: s, between calls, and the longest hold of a control; old: s, the age of a measurement.
+        aim: s from a hold's beginning at which the body has the attitude that thrust is meant for.
         full, slow: a in m/s^2, and s.
         low, high: kappa; across: share of it.
-        turning: rad/s, of the body at most.
-        place, seen: m and m/s, by which a state is seen elsewhere.
-        lag: by how much of w + e w is seen off, per share of what thrust did otherwise since the measurement.
-        rounded: m/s^2, of what thrusters round off.
-        out, beside, ends: m/s and m: the field's speed beside the chief, up to where, and from where on it has none.
-        back, begins, edge: m/s and m, the same at the edge of the zone: from where on, and from where on all of it.
-        still, rising: m/s and 1/s, the calm speed at the chief, and by how much it rises with distance.
+        turning: rad/s, the body's largest rate.
+        place, seen: m and m/s, errors of a measured state.
+        lag: error of the measured w per w + e, and per share by which thrust was off since the measurement.
+        rounded: m/s^2, the thrusters' rounding.
+        out, beside, ends: m/s and m: the field's speed beside the chief, the distance up to which it has this speed,
+            and the distance from which on it is zero.
+        back, begins, edge: m/s and m, at the edge of the zone: its speed, the distances where it begins and is full.
+        still, rising: m/s and 1/s, the calm speed at the chief, and its slope with distance.
         nearest: m from the chief's centre.
     """
 
@@ -149,7 +152,7 @@ class RobustTerminalSet:
 
     @classmethod
     def of(cls, c: Limits, period: float, uncertainty: Uncertainty) -> "RobustTerminalSet":
-        """Returns the set of the first tuning that has one; raises NoCheckError where the bounds leave none."""
+        """Returns the set of the first tuning that has one; raises NoCheckError if the bounds leave none."""
         for tuning in TUNINGS[:-1]:
             with suppress(NoCheckError):
                 return cls.tuned(c, period, uncertainty, tuning)
@@ -157,9 +160,9 @@ class RobustTerminalSet:
 
     @classmethod
     def tuned(cls, c: Limits, period: float, uncertainty: Uncertainty, tuning: Tuning) -> "RobustTerminalSet":
-        """Returns the set of one tuning; raises NoCheckError where the bounds leave none.
+        """Returns the set of one tuning; raises NoCheckError if the bounds leave none.
 
-        What thrusters round off the law's thrust is an acceleration that is not known.
+        The thrusters' rounding of the law's thrust counts as an unknown acceleration.
         """
         aslant = 1.0 + math.sqrt(2.0) * math.sin(math.radians(uncertainty.thrust_misalignment))
         rounded = math.sqrt(3.0) * (1 + uncertainty.thrust_gain) * aslant * uncertainty.rounding(c.max_thrust)
@@ -170,7 +173,7 @@ class RobustTerminalSet:
         aim = (longest + period) / 4
         turning = math.sqrt(3.0) * c.max_rate + uncertainty.unknown_turning(c)  # relative to Hill's frame
         position, velocity, attitude, rate = uncertainty.radii
-        # rad, by which the mean attitude of a hold is another than the one predicted for its aim
+        # rad, from the attitude predicted for a hold's aim to the hold's mean attitude
         quickening = math.sqrt(3.0) * c.max_torque / min(c.inertia)
         other = uncertainty.torque_error * quickening + uncertainty.angular_acceleration(c)
         ahead = old + aim
@@ -181,7 +184,7 @@ class RobustTerminalSet:
         # thrust that sweeps about its mean direction gives less along it
         sweeps = angle + turning * max(math.sqrt(((t - aim) ** 3 + aim**3) / (3 * t)) for t in hold)
         angle += max(mean_misalignment(t, aim, turning, faster) for t in hold)
-        # of thrust in the body: the gains of the axes, and each axis aslant
+        # errors of thrust in the body: the gains of the axes, and the misalignment of each axis
         tilt = math.radians(uncertainty.thrust_misalignment)
         least, most = (1 - uncertainty.thrust_gain) * math.cos(tilt), 1 + uncertainty.thrust_gain
         aslant, uneven = math.sqrt(2.0) * math.sin(tilt) * most, (most - least) / 2
@@ -193,7 +196,7 @@ class RobustTerminalSet:
         across = (uneven + aslant + angle * (most + aslant)) / along
         slow = high * longest / tuning.share
         fastest = min(c.docking_speed + c.speed_slope * c.max_distance, math.sqrt(3.0) * c.max_speed)
-        # since a measurement w has fallen by this share at most
+        # the largest share by which w has fallen since its measurement
         before = tuning.share * (old + longest - period) / longest if old else 0.0
         if before >= 1.0:
             raise NoCheckError("the state is too old")
@@ -214,36 +217,36 @@ class RobustTerminalSet:
 
     @property
     def off(self) -> float:
-        """|1 - kappa| at most."""
+        """Returns the largest |1 - kappa|."""
         return max(1.0 - self.low, self.high - 1.0)
 
     @property
     def thrust_error(self) -> float:
-        """|1 - K| at most, K being what acts of what is asked for."""
+        """Returns the largest |1 - K|, where K is the acting share of the commanded acceleration."""
         return self.off + self.across * self.high
 
     @property
     def late(self) -> float:
-        """The share of w + e by which w is seen off, for what thrust did otherwise since the measurement."""
+        """Returns the error of the measured w, as a share of w + e, from thrust that was off since the measurement."""
         return self.lag * self.thrust_error
 
     @property
     def stretch(self) -> float:
-        """Beta, the share of w by which it is seen longer or shorter."""
+        """Returns beta, the share of w by which the measured w is longer or shorter."""
         return self.lag * self.off
 
     @property
     def most(self) -> float:
-        """The share of S that a hold takes away at most."""
+        """Returns the largest share of S that a hold takes away."""
         return self.tuning.share * (1.0 + self.stretch)
 
     @property
     def second(self) -> float:
-        """What is taken off |w| across it, to second order, per share that a hold takes away."""
+        """Returns the second-order reduction of |w| by thrust across it, per share that a hold takes away."""
         return self.across**2 * self.tuning.share / (2 * (1.0 - self.tuning.share))
 
     def with_field(self) -> "RobustTerminalSet":
-        """The same, with a field that is faster than this one's calm speed, and with the calm speed in it."""
+        """Returns the same set with a field faster than this one's calm speed, and the calm speed in that field."""
         c, farthest = self.c, self.c.max_distance
         beside, edge = self.tuning.beside * c.collision_radius, farthest - EDGE
         none = torch.zeros((), dtype=torch.float64)
@@ -265,15 +268,15 @@ class RobustTerminalSet:
         return replace(w, still=still, rising=rising)
 
     def calm(self, distance: Tensor) -> Tensor:
-        """m/s, of |w| in the set at a call at most, at distances (...) in m."""
+        """Returns the largest |w| in m/s in the set at a call, at distances (...) in m."""
         return self.still + self.rising * distance
 
     def wanders(self, distance: Tensor) -> Tensor:
-        """m/s, of |w| in the set at most, between calls, too."""
+        """Returns the largest |w| in m/s in the set, between calls, too."""
         return self.calm(distance) + self.stray(self.calm(distance), distance)
 
     def stray(self, speed: Tensor, farthest: Tensor) -> Tensor:
-        """m/s, by which w is off its chord in a hold, for thrust turns with the body; |w| and |p| (...)."""
+        """Returns in m/s how far w is off its chord in a hold, since thrust turns with the body; |w| and |p| (...)."""
         n, field = self.c.mean_motion, max(self.out, self.back)
         natural = 3 * n**2 * (farthest + self.place) + 2 * n * (speed + field + self.seen)
         steep = max(self.out / self.c.collision_radius, self.tuning.steep)
@@ -283,34 +286,34 @@ class RobustTerminalSet:
         return turned * self.turning * self.longest**2 / 8
 
     def field(self, p: Tensor) -> Tensor:
-        """v_ref (3, ...) in m/s at positions (3, ...) in m."""
+        """Returns v_ref (3, ...) in m/s at positions (3, ...) in m."""
         r = norm(p).clamp(min=1.0)
         return self.speed(r) / r * p
 
     def speed(self, r: Tensor) -> Tensor:
-        """m/s, of the field outwards at distances (...) in m; it falls with distance."""
+        """Returns the field's speed outwards in m/s at distances (...) in m; it falls with distance."""
         out = self.out * ((self.ends - r) / (self.ends - self.beside)).clamp(0.0, 1.0)
         return out - self.back * ((r - self.begins) / (self.edge - self.begins)).clamp(0.0, 1.0)
 
     def steepness(self, nearest: Tensor, farthest: Tensor) -> Tensor:
-        """1/s, the largest slope of the field between two distances (...) in m: along the radius, or across it."""
+        """Returns the field's largest slope in 1/s between two distances (...) in m: along the radius, or across it."""
         out = self.out * ((self.ends - nearest) / (self.ends - self.beside)).clamp(0.0, 1.0)
         near = torch.where(nearest < self.ends, (out / nearest).clamp(min=self.tuning.steep), 0.0)
         return torch.where(farthest > self.begins, near.clamp(min=self.tuning.steep), near)
 
     def errors(self, fastest: Tensor, nearest: Tensor, farthest: Tensor) -> Errors:
-        """Of backup trajectories at |w| up to a speed in m/s, between two distances in m from the chief, (...)."""
+        """Returns errors of backup trajectories at |w| up to `fastest` m/s, between two distances in m, (...)."""
         n, late, sees = self.c.mean_motion, self.late, 1.0 - self.late
         steep = self.steepness(nearest, farthest)
         drift = torch.maximum(self.speed(nearest).abs(), self.speed(farthest).abs())
-        # what thrust that meets f, and the unknown, did otherwise since the measurement, counts beside the share `late`
+        # the errors since the measurement of thrust against f, and unknown accelerations, in addition to `late`
         since = self.old * (
             self.thrust_error * (3 * n**2 * (farthest + self.place) + 2 * n * drift)
             + self.uncertainty.acceleration
         )
         seen = self.seen + steep * self.place + since
-        # m/s^2 that are there at any speed: f that is not what thrust was meant to cancel, what is unknown, and the
-        # field's own change along it, which is along the radius
+        # m/s^2 at any speed: the part of f that thrust does not cancel, unknown accelerations, and the change of the
+        # field along itself, which is along the radius
         always = (
             self.thrust_error * (3 * n**2 * farthest + 2 * n * drift)
             + 3 * n**2 * (self.place + drift * self.longest)
@@ -318,7 +321,7 @@ class RobustTerminalSet:
             + self.uncertainty.acceleration
             + (self.tuning.steep + self.rising) * drift
         ) * (1.0 + n * self.longest)
-        # s, that a hold is per share that it takes away at most
+        # s, the longest hold per share that it takes away
         lasting = ((fastest + seen) / (sees * self.full)).clamp(min=self.slow) / self.low
         rate = 2 * n * (self.thrust_error + late) / sees + 3 * n**2 * self.longest + steep + self.rising
         growing = (
@@ -339,7 +342,7 @@ class RobustTerminalSet:
         )  # fmt: skip
 
     def certified(self) -> "RobustTerminalSet":
-        """The same, with the nearest distance from which on the set is invariant."""
+        """Returns the same set with the nearest distance from which on it is invariant."""
         c, count, moments = self.c, *GRID
         if not self.beside < self.ends < self.begins:
             raise NoCheckError("the zone is too small for the field")
@@ -363,10 +366,10 @@ class RobustTerminalSet:
         return replace(self, nearest=r[first].item())
 
     def clearances(self, r: Tensor, moments: int, gap: float) -> Tensor:
-        """m, by which free flight from the set at distances (k,) up to a gap apart stays clear at least.
+        """Returns a lower bound in m of free flight's clearance from the set at distances (k,), up to `gap` m apart.
 
-        It is (Phi_rr + s / r Phi_rv) p + Phi_rv w. The first part is at least its least singular value times r. Between
-        moments a flight is off its chord by what it bends.
+        Free flight is (Phi_rr + s / r Phi_rv) p + Phi_rv w. The length of the first part is at least its least singular
+        value times r. Between two of the times a flight is off its chord by its curvature.
         """
         c, times = (
             self.c,
@@ -385,9 +388,9 @@ class RobustTerminalSet:
         return least.amin(0) - sag - lost - c.collision_radius
 
     def stays(self, r: Tensor) -> Tensor:
-        """(k,) bool: at distances (k,) |w| that is calm stays so, and `error_tube.Fall` holds down to it."""
+        """Checks whether calm |w| stays calm at distances (k,), and `error_tube.Fall` holds down to it, (k,) bool."""
         calm = self.calm(r)
-        # within a hold, and where it is seen
+        # m, moved within a hold, and the error of position
         moved = (self.wanders(r) + max(self.out, self.back)) * self.longest + self.place
         errors = self.errors(calm / (1.0 - self.most), (r - moved).clamp(min=1.0), r + moved)
         left = errors.seen * (1.0 + 2 * self.across + 3 * self.second) + errors.calm * errors.decay * (
@@ -404,11 +407,11 @@ class RobustTerminalSet:
 
 
 def mean_misalignment(hold: float, aim: float, turning: float, faster: float) -> float:
-    """rad, by which the mean attitude over a hold is off that at its aim, both in s.
+    """Returns the angle in rad between the mean attitude over a hold and the attitude at its aim, both times in s.
 
-    The body turns at `turning` rad/s at most, which changes by `faster` rad/s^2 at most. The mean of the angle from the
-    aim on is the integral of rate (hold - s) after it, less that of rate s before it, by the hold: a steady rate makes
-    up on one side for the other.
+    The body turns at most at `turning` rad/s, which changes at most by `faster` rad/s^2. The mean of the angle from the
+    aim is the integral of rate (hold - s) after it, less the integral of rate s before it, divided by the hold. For a
+    steady rate both parts compensate.
     """
     if hold <= aim:
         return turning * (aim - hold / 2)
@@ -419,14 +422,14 @@ def mean_misalignment(hold: float, aim: float, turning: float, faster: float) ->
 
 
 def law(x: Tensor, w: RobustTerminalSet) -> Tensor:
-    """G (3, B) in m/s^2 in Hill's frame, at states (16, B) as they are taken for."""
+    """Returns G (3, B) in m/s^2 in Hill's frame, at measured states (16, B)."""
     off = x[V] - w.field(x[P])
     wanted = -off * (w.full / norm(off).clamp(min=1e-30)).clamp(max=1.0 / w.slow)
     return wanted - torch.stack(clohessy_wiltshire(x[P].unbind(), x[V].unbind(), w.c.mean_motion))
 
 
 def thrust(x: Tensor, torque: Tensor, w: RobustTerminalSet) -> Tensor:
-    """The law as thrust (3, B) in N, in the body, at states (16, B) as they are taken for; torque (3, B) is held."""
+    """Returns the law as thrust (3, B) in N, in the body, at measured states (16, B), while torque (3, B) is held."""
     aimed = step(x, torch.cat((torch.zeros_like(torque), torque)), w.aim, unsaturated(w.c))
     limit = w.c.max_thrust
     return (w.c.mass * (rotation_matrix(aimed[Q]) * law(x, w)[:, None]).sum(0)).clamp(-limit, limit)
