@@ -4,23 +4,27 @@
 
 A comment above a table names an entry of TABLES here: `<!-- rows: boundary -->`. The heading is the page's own.
 Prose quotes no number that one of these files has: it points to a table.
+
+An entry has lines of columns and below these lines of rows. A column is a name of COLUMNS or METRICS, or a template of
+paths into results and formats: "{metrics.reward.iqm:.3f} ({metrics.reward.mean:.3f})"; "{broken/episodes:.1%}" is a
+share, without its %. A row is a label and the path of its results, "label <- file:path"; where it has {name}, there are
+rows of all words of AXES["name"], and where it has {}, of all keys that the file has in this place.
 """
 
 import csv
 import functools
 import json
+import operator
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from itertools import product
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
 
 from rta.names import UNITS
-from study.config import ARMS, GUIDE
 from study.files import ROOT, write_text
 from study.flight.summary import iqm
-from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Published, Results, measured
+from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Results
 from study.report.tables import of_seeds, over_seeds
 
 REFERENCE = ROOT / "runs/reference"
@@ -31,20 +35,10 @@ PAGES = (
 )
 MARK = "<!-- rows:"
 TABLE = re.compile(rf"(?m)^({MARK} (\w+) -->\n(?:\|.*\n){{2}})(?:\|.*\n)*")  # the mark, the heading; the rows
+FIELD = re.compile(r"{([^:}]+):?([^}]*)}")  # of a template: its path, its format
 
-Rows = Iterable[Iterable[str]]  # of cells
-Column = Callable[[Any], str]  # from what a file says of something to a cell
-# what the pages call a study's arms, vehicles and chiefs
-LABELS = {
-    "no_rta": "without RTA",
-    "rta": "with RTA",
-    "rta_5s": "with RTA every 5 s",
-    "rta_10s": "with RTA every 10 s",
-}
-VEHICLES = {"3u": "3U, 4 kg", "12u": "12U, 20 kg", "espa": "ESPA-class, 180 kg"}
-CHIEFS = {"box": "box between panels, fixed", "satellite": "satellite, tumbling"}
-POLICIES = ("random", "adversarial")  # of the campaigns
-DIGITS = {"reward": 3, "episode_length_s": 0, "delta_v_m_s": 2, "torque_n_m": 4}
+Rows = Iterable[str]  # "label | cell | cell"
+Column = str | Callable[[Any], str]  # a template, or how to compute a cell from results
 
 
 def renewed(text: str) -> str:
@@ -54,13 +48,15 @@ def renewed(text: str) -> str:
         ValueError: a mark names no table here, or no table follows it.
     """
 
-    def rows(found: re.Match[str]) -> str:
+    def marked(found: re.Match[str]) -> str:
         heading, name = found.groups()
         if name not in TABLES:
             raise ValueError(f"{MARK} {name} -->: docs/tables.py has no such table")
-        return heading + "".join(f"| {' | '.join(row)} |\n" for row in TABLES[name]())
+        table = TABLES[name]
+        lines = rows(table) if isinstance(table, str) else table()
+        return heading + "".join(f"| {line} |\n" for line in lines)
 
-    text, count = TABLE.subn(rows, text)
+    text, count = TABLE.subn(marked, text)
     if count != text.count(MARK):
         raise ValueError(f"{text.count(MARK)} marks '{MARK} NAME -->', but {count} tables after one")
     return text
@@ -79,68 +75,100 @@ def main() -> None:
             print(f"{name}: renewed")
 
 
-# files
+# results
 
 
 @functools.cache
 def read(path: str) -> Any:
-    """Returns a .json or .jsonl file of runs/reference; of the latter a list of its lines."""
-    text = (REFERENCE / path).read_text(encoding="utf-8")
-    return [json.loads(line) for line in text.splitlines()] if path.endswith("l") else json.loads(text)
+    """Returns a JSON file of runs/reference; "paper" is what the paper says of its arms."""
+    if path == "paper":
+        return {arm: papers(arm) for arm in ARMS}
+    return json.loads((REFERENCE / f"{path}.json").read_text(encoding="utf-8"))
 
 
-def report(name: str) -> Any:
-    """Returns a file that `report` wrote about the agents from nothing."""
-    return read(f"from_nothing/report/{name}.json")
+def papers(arm: str) -> Results:
+    """Returns the paper's numbers of an arm in the form of our results, with None for those that it lacks."""
+    metrics = {name: published.by_arm[arm] for name, published in PAPER_METRICS.items()}
+    return {
+        "metrics": {name: {"iqm": each.value, "ci95": each.interval} for name, each in metrics.items()},
+        "violations_percent": {name: each.by_arm[arm].value for name, each in PAPER_VIOLATIONS.items()},
+        "violations_percent_of_seconds": {"any": None},
+        "outcomes": {"success": None, "clean_success": None},
+    }
 
 
-def arms(study: str) -> dict[str, Results]:
-    """Returns the results of a study's arms, by their names."""
-    return read(f"{study}/results.json")["arms"]
+def campaign(name: str) -> Any:
+    """Returns the results of `verify`."""
+    return read(f"verification/{name}")
 
 
-def labelled(found: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns what is said of a study's arms by what the pages call these."""
-    return {LABELS[arm]: each for arm, each in found.items()}
+def at(value: Any, path: str) -> Any:
+    """Returns what is under these keys, "metrics.reward.iqm"; of a list also "min" and "max", of counts "sum"."""
+    for key in filter(None, path.split(".")):
+        if isinstance(value, dict):
+            value = sum(value.values()) if key == "sum" else value[key]
+        else:
+            value = {"min": min, "max": max}[key](value) if key.isalpha() else value[int(key)]
+    return value
 
 
-def campaign(name: str, period: int = 1) -> Any:
-    """Returns a report of `verify` or `boundary`, with the filter called every so many s."""
-    return read(f"verification/{name}.json" if period == 1 else f"frequency/{name}_{period}s.json")
+def found(line: str) -> Iterator[tuple[str, Any]]:
+    """Yields the labels of a line of rows and their results; the words of its last axis change first."""
+    label, path = line.split(" <- ")
+    file, _, inside = path.partition(":")
+    axis = re.search(r"{(\w*)}", label)
+    if not axis:
+        yield label, at(read(file), inside)
+        return
+    words = AXES[axis[1]] if axis[1] else list(at(read(file), inside.split("{}")[0]))
+    for key, word in words.items() if isinstance(words, dict) else zip(words, words, strict=True):
+        yield from found(line.replace(axis[0], word, 1).replace(axis[0], key))
 
 
-# columns
+# cells
 
 
-def rows(found: Mapping[Any, Any], *columns: Column) -> Rows:
-    """Yields a row for each entry: its key, a cell or several, then what the columns say of its value."""
-    for key, value in found.items():
-        yield *([key] if isinstance(key, str) else key), *(column(value) for column in columns)
+def filled(column: Column, results: Any) -> str:
+    """Returns what a column says of results; a number that is None is an empty cell."""
+
+    def text(field: re.Match[str]) -> str:
+        value = functools.reduce(operator.truediv, (at(results, path) for path in field[1].split("/")))
+        return "" if value is None else format(value, field[2]).removesuffix("%")
+
+    return FIELD.sub(text, column) if isinstance(column, str) else column(results)
 
 
-def number(path: str, form: str = ",") -> Column:
-    """Returns the column of the number under these keys, "violating_episodes/any"."""
-    return lambda found: format(functools.reduce(lambda part, key: part[key], path.split("/"), found), form)
+def rows(table: str) -> Rows:
+    """Yields the rows of a table: each label, then what the columns above it say of its results."""
+    columns: list[Column] = []
+    below = False  # rows
+    for line in filter(None, map(str.strip, table.splitlines())):
+        if " <- " in line:
+            for label, results in found(line):
+                yield " | ".join([label, *(filled(column, results) for column in columns)])
+        else:
+            columns = [*([] if below else columns), *map(column, line.split(" | "))]
+        below = " <- " in line
 
 
-def metric(name: str, pattern: str = "{iqm}") -> Column:
-    """Returns the column of a metric's numbers in a pattern of iqm, mean, p5, p95 and max."""
-
-    def cell(results: Results) -> str:
-        numbers = {key: value for key, value in results["metrics"][name].items() if key != "ci95"}
-        return pattern.format(**{key: f"{value:,.{DIGITS[name]}f}" for key, value in numbers.items()})
-
-    return cell
+def across(lines: Iterable[str], *results: Any) -> Rows:
+    """Yields the rows of a table with templates by label: each label and what its template says of the results."""
+    for line in lines:
+        label, template = line.split(" | ", 1)
+        yield " | ".join([label, *(filled(template, each) for each in results)])
 
 
-def interval(name: str) -> Column:
-    """Returns the column of IQM [95 % interval], with as many digits as the paper's."""
-    return lambda results: measured(results, name).text(PAPER_METRICS[name].digits)
+def column(text: str) -> Column:
+    """Returns the column of these words: of a metric its IQM or, after a colon, a pattern of its numbers."""
+    name, _, pattern = text.partition(": ")
+    if name in METRICS:
+        return metric(*METRICS[name], pattern or "{iqm}")
+    return text if "{" in text else COLUMNS[text]
 
 
-def share(name: str) -> Column:
-    """Returns the column of the share of "success" or "clean_success", in %."""
-    return lambda results: f"{100.0 * results['outcomes'][name]:.1f}"
+def metric(name: str, form: str, pattern: str) -> str:
+    """Returns the template of a metric's numbers in a pattern of their names."""
+    return pattern.replace("{", f"{{metrics.{name}.").replace("}", f":{form}}}")
 
 
 def corrected(results: Results) -> str:
@@ -149,514 +177,272 @@ def corrected(results: Results) -> str:
 
 
 def over_the_seeds(name: str) -> Column:
-    """Returns the column of IQM [its interval over seeds], mean."""
+    """Returns the column of a metric's IQM [its interval over seeds], mean."""
 
     def cell(results: Results) -> str:
-        found = results["metrics"][name]
-        numbers = found["iqm"], *over_seeds(results, name), found["mean"]
-        return "{} [{}, {}], {}".format(*(f"{each:,.{DIGITS[name]}f}" for each in numbers))
+        key, form = METRICS[name]
+        low, high = over_seeds(results, key)
+        return filled(metric(key, form, f"{{iqm}} [{low:{form}}, {high:{form}}], {{mean}}"), results)
 
     return cell
 
 
-def violating(*campaigns: Any) -> str:
-    """Returns how many episodes of campaigns violated a limit."""
-    broken = sum(each["violating_episodes"]["any"] for each in campaigns)
-    return f"{broken:,} of {sum(each['episodes'] for each in campaigns):,}"
-
-
-def calls(found: Any) -> int:
-    """Returns the filter calls of a campaign."""
-    return sum(found["filter_calls"].values())
-
-
-def backup(found: Any) -> str:
+def backup(results: Any) -> str:
     """Returns the share of a campaign's calls in which the backup decided, in %."""
-    percent = 100.0 * found["backup_calls"] / calls(found)
+    percent = 100.0 * results["backup_calls"] / sum(results["filter_calls"].values())
     return f"{percent:.1f}" if percent >= 10.0 else f"{percent:.2g}"
 
 
-TIME, FUEL, REWARD = (metric(name) for name in ("episode_length_s", "delta_v_m_s", "reward"))
-SUCCESS, CLEAN = share("success"), share("clean_success")
-VIOLATION = number("violations_percent/any", ".3f")
-
-
-def agents(found: Mapping[Any, Results]) -> Rows:
-    """Yields: success and clean success (%), steps with a violation (%), calls corrected (%), reward, time, fuel."""
-    return rows(found, SUCCESS, CLEAN, VIOLATION, corrected, REWARD, TIME, FUEL)
-
-
-def campaigns(found: Mapping[Any, Any]) -> Rows:
-    """Yields: episodes with a violation, its probability below, h of zone and PSM, calls with slack, by the backup."""
-    smallest = number("worst_value/keep_in_zone", ".3f"), number("worst_value/passive_safety", ".2f")
-    return rows(
-        found, violating, number("upper_bound_95", ".2g"), *smallest, number("filter_calls/slack"), backup
+def broken(results: Any) -> str:
+    """Returns the limits that a campaign broke, with their episodes and worst h."""
+    counts = sorted(results["violating_episodes"].items(), key=lambda item: -item[1])
+    return ", ".join(
+        f"{name.replace('_', ' ')} {count:,} ({results['worst_value'][name]:.2g} {UNITS[name]})"
+        for name, count in counts
+        if count and name != "any"
     )
 
 
-def both(label: str, name: str) -> dict[tuple[str, str], Any]:
-    """Returns the campaigns of random and of adversarial controls, by label and policy; `name` has {} for these."""
-    return {(label, policy): campaign(name.format(policy)) for policy in POLICIES}
+ARMS = {"no_rta": "without RTA", "rta": "with RTA"}
+AXES: dict[str, Any] = {  # the words of a path, and others in their place in a label
+    "arm": ARMS,
+    "way": {"off": "without", "on": "with"},
+    "policy": ("random", "adversarial"),
+    "any_policy": ("random", "adversarial", "lookahead"),
+    "worst": ("pressing", "adversarial", "lookahead", "random"),
+    "barely": ("opposite", "full", "lookahead"),
+    "demand": ("random", "waypoints", "agent"),
+    "s": ("1", "5", "10"),
+    "later": ("5", "10"),
+    "learned": {"motion": "motion", "passive": "passive safety", "attitude": "attitude, temperature, energy"},
+    "vehicle": {"3u": "3U, 4 kg", "12u": "12U, 20 kg", "espa": "ESPA-class, 180 kg"},
+    "decides": {
+        "teaching": "every 10 s, no filter",
+        "without": "every second, no filter",
+        "with": "every second, filter",
+    },
+}
+METRICS = {  # by name: its key and format
+    "score": ("inspected_score", ".2f"),
+    "reward": ("reward", ".3f"),
+    "fuel": ("delta_v_m_s", ",.2f"),
+    "time": ("episode_length_s", ",.0f"),
+    "torque": ("torque_n_m", ".4f"),
+}
+COLUMNS: dict[str, Column] = {
+    "success": "{outcomes.success:.1%}",
+    "clean": "{outcomes.clean_success:.1%}",
+    "violation": "{violations_percent.any:.3f}",
+    "corrected": corrected,
+    "violating": "{violating_episodes.any:,} of {episodes:,}",
+    "probability": "{upper_bound_95:.2g}",
+    "zone": "{worst_value.keep_in_zone:.3f}",
+    "PSM": "{worst_value.passive_safety:.2f}",
+    "slack": "{filter_calls.slack:,}",
+    "backup": backup,
+    "broken": broken,
+    "worst seed": lambda results: f"{min(of_seeds(results, 'reward')):.3f}",
+    **{f"{name} over seeds": over_the_seeds(name) for name in ("reward", "time", "fuel")},
+    # with the filter off, on without bounds, on with U1's bounds
+    **{
+        way: "{W.outcomes.success:.1%}, {W.outcomes.clean_success:.1%}, {W.violations_percent.any:.3f}, "
+        "{W.metrics.reward.iqm:.3f}".replace("W.", f"{way}.")
+        for way in ("off", "nominal", "robust")
+    },
+    # of flights in Basilisk
+    "flights": "{episodes:,} | {success_percent:.1f} | {clean_percent:.1f} | {violating_episodes:,}",
+    "means": "{mean.reward:,.3f} | {mean.episode_length_s:,.0f} | {mean.delta_v_m_s:,.3f}",
+    "means apart": " | ".join(
+        f"{{mean.{name}:,{form}}} ({{difference.{name}.mean:+{form}}} ± {{difference.{name}.standard_error:{form}}})"
+        for name, form in {"reward": ".3f", "episode_length_s": ".0f", "delta_v_m_s": ".3f"}.items()
+    ),
+}
+AGENTS = "success | clean | violation | corrected | reward | time | fuel\n"
+CAMPAIGNS = "violating | probability | zone | PSM | slack | backup\n"
+SPREAD = """
+    clean | violation | reward over seeds | worst seed
+    time over seeds | time: {p5} to {p95}, {max} | fuel over seeds | fuel: {p5} to {p95}, {max}
+    """
 
 
 # tables
 
 
-def front() -> Rows:
-    for arm in ARMS:
-        reward, time, fuel = (
-            PAPER_METRICS[name].by_arm[arm].value for name in ("reward", "episode_length_s", "delta_v_m_s")
-        )
-        any_limit = f"{PAPER_VIOLATIONS['any'].by_arm[arm].value:.3f}"
-        yield (
-            f"*the paper's agents {LABELS[arm]}*",
-            *("", "", any_limit),
-            *(f"{reward:.3f}", f"{time:,.0f}", f"{fuel:.2f}"),
-        )
-    learners = {"our_learner": "our learner, the paper's task", "from_nothing": "ours, from nothing"}
-    ours = {"no_rta": "without RTA", "rta": "with our filter"}
-    found = {
-        **{f"{name}, {ours[arm]}": arms(study)[arm] for study, name in learners.items() for arm in ARMS},
-        "agents taught by the guidance, with our filter": arms("study")["rta"],
-        "classical guidance with our filter": report("baselines")[GUIDE]["on"],
-    }
-    yield from rows(found, SUCCESS, CLEAN, VIOLATION, REWARD, TIME, FUEL)
-
-
 def kept() -> Rows:
-    basilisk = [read(f"basilisk/u1_{policy}.json") for policy in (*POLICIES, "lookahead")]
-    for label, *flown in (
-        ("every second, random and adversarial controls", *both("", "{}").values()),
-        (
-            "every 5 or 10 s, random and adversarial",
-            *(campaign(each, s) for each in POLICIES for s in (5, 10)),
-        ),
-        (
-            "every 1, 5 or 10 s, an adversary that looks ahead",
-            *(campaign("lookahead", s) for s in (1, 5, 10)),
-        ),
-        (
-            "every second, all errors at once, drawn anew each second, their bounds given",
-            *both("", "u1_{}").values(),
-        ),
-        ("the same in Basilisk, also against an adversary that looks ahead", *basilisk),
-    ):
-        yield label, violating(*flown), f"{sum(map(calls, flown)) / 1e6:,.1f} million"
-
-
-def beside_the_paper(label: str, column: Column, published: Published | None = None) -> Iterator[str]:
-    """Yields a row of the paper's study: of each arm our number, then the paper's of the arms that it has."""
-    yield label
-    for arm, results in arms("our_learner").items():
-        yield column(results)
-        if arm in ARMS:
-            yield published.by_arm[arm].text(published.digits) if published else ""
-
-
-OPEN_SETTINGS = {
-    "base": "nothing: a standard deviation of 0.1 at the start",
-    "std_003": "0.03 at the start",
-    "std_03": "0.3 at the start",
-    "std_1": "1 at the start, at most e, and a tanh on the log standard deviation, too",
-    "no_kl": "no price on the divergence of an update",
-    "annealed": "a rate that falls to 0",
-    "faster": "a rate of 3e-4",
-    "linear": "no tanh on the outputs",
-    "episodes": "5 episodes by 300 decisions in a batch",
-    "scales": "our scales of the observations",
-}
+    """Yields the episodes with a violation and the calls of the filter, of several campaigns together."""
+    table = """
+        every second, random and adversarial controls <- verification/{policy}
+        every 5 or 10 s, random and adversarial <- frequency/{policy}_{later}s
+        every 1, 5 or 10 s, an adversary that looks ahead <- verification/lookahead <- frequency/lookahead_{later}s
+        every second, all errors at once, drawn anew each second, their bounds given <- verification/u1_{policy}
+        the same in Basilisk, also against an adversary that looks ahead <- basilisk/u1_{any_policy}
+    """
+    for line in table.strip().splitlines():
+        label, *paths = line.strip().split(" <- ")
+        flown = [results for path in paths for _, results in found(f"{path} <- {path}")]
+        numbers = "violating_episodes.any", "episodes", "filter_calls.sum"
+        broken, episodes, calls = (sum(at(each, path) for each in flown) for path in numbers)
+        yield f"{label} | {broken:,} of {episodes:,} | {calls / 1e6:,.1f} million"
 
 
 def open_settings() -> Rows:
-    """Yields what the paper's agents without RTA fly, then those with one setting of the learner each."""
-    names = "reward", "episode_length_s", "delta_v_m_s", "torque_n_m"
-    papers = [f"{PAPER_METRICS[name].by_arm['no_rta'].value:,.{DIGITS[name]}f}" for name in names]
-    yield "*the paper's agents*", "", f"{PAPER_VIOLATIONS['any'].by_arm['no_rta'].value:.3f}", *papers
-    found = {label: arms("learner")[name] for name, label in OPEN_SETTINGS.items() if name in arms("learner")}
-    both = [metric(name, "{iqm} ({mean})") for name in names]
-    yield from rows(found, SUCCESS, VIOLATION, *both)
+    """Yields what the paper's agents without RTA fly, then those with one setting of the learner each, once flown."""
+    yield from rows("""
+        success | violation | reward | time | fuel | torque
+        *the paper's agents* <- paper:no_rta""")
+    columns = "success | violation" + "".join(
+        f" | {name}: {{iqm}} ({{mean}})" for name in ("reward", "time", "fuel", "torque")
+    )
+    for arm, label in {
+        "base": "nothing: a standard deviation of 0.1 at the start",
+        "std_003": "0.03 at the start",
+        "std_03": "0.3 at the start",
+        "std_1": "1 at the start, at most e, and a tanh on the log standard deviation, too",
+        "no_kl": "no price on the divergence of an update",
+        "annealed": "a rate that falls to 0",
+        "faster": "a rate of 3e-4",
+        "linear": "no tanh on the outputs",
+        "episodes": "5 episodes by 300 decisions in a batch",
+        "scales": "our scales of the observations",
+    }.items():
+        if arm in read("learner/results")["arms"]:
+            yield from rows(f"{columns}\n{label} <- learner/results:arms.{arm}")
 
 
-def performance() -> Rows:
-    for name, published in PAPER_METRICS.items():
-        yield beside_the_paper(published.label, interval(name), published)
-    yield beside_the_paper("Success (%)", SUCCESS)
-    yield beside_the_paper("Clean success (%)", CLEAN)
-    yield beside_the_paper("Any violation (mean % of steps)", VIOLATION, PAPER_VIOLATIONS["any"])
-    seconds = number("violations_percent_of_seconds/any", ".3f")
-    yield beside_the_paper("Any violation (mean % of seconds)", seconds)
-
-
-def violations() -> Rows:
-    for name, published in PAPER_VIOLATIONS.items():
-        yield beside_the_paper(published.label, number(f"violations_percent/{name}", ".3f"), published)
-
-
-def spread(found: Mapping[Any, Results]) -> Rows:
-    """Yields: clean success and steps with a violation (%), reward, time and fuel with their spread and tails."""
-    worst = lambda each: f"{min(of_seeds(each, 'reward')):.3f}"  # noqa: E731
-    tails = {name: metric(name, "{p5} to {p95}, {max}") for name in ("episode_length_s", "delta_v_m_s")}
-    columns = [over_the_seeds("reward"), worst]
-    for name, tail in tails.items():
-        columns += [over_the_seeds(name), tail]
-    return rows(found, CLEAN, VIOLATION, *columns)
-
-
-def longer() -> Rows:
-    """Yields what agents from nothing fly with RTA after 5 and after 50 million interactions."""
-    found = {"10 seeds, 5 million": arms("from_nothing")["rta"], "1 seed, 50 million": arms("long")["rta"]}
-    tail = "{iqm}, {p5} to {p95}, {max}"
-    columns = metric("episode_length_s", tail), metric("delta_v_m_s", tail)
-    return rows(found, SUCCESS, CLEAN, metric("reward", "{iqm}, {mean}"), *columns)
-
-
-def hidden(study: str) -> Rows:
-    """Yields counts over all episodes of a study's arms."""
+def beside_the_paper(lines: Iterable[str]) -> Rows:
+    """Returns a row for each template: of each arm our number, then the paper's of the arms that it has."""
     columns = []
-    for arm in arms(study):
-        with np.load(REFERENCE / study / arm / "episodes.npz") as episodes:
-            metrics = dict(zip(episodes["metric_names"], episodes["metrics"], strict=True))
-            violated = dict(zip(episodes["constraint_names"], episodes["violation_seconds"], strict=True))
-            succeeded = episodes["outcome"] == list(episodes["outcome_names"]).index("success")
-            drift = "succeed, but would drift into the chief within two days if thrust stopped at the end"
-            counts = {
-                "succeed": succeeded,
-                drift: succeeded & ~episodes["clear"],
-                "violate a limit in some second": violated["any"] > 0.0,
-                "last longer than 4,500 s": metrics["episode_length_s"] > 4500.0,
-            }
-            edge = "come within 1 m of the zone's edge, 800 m out, or leave it"
-            counts[edge] = episodes["max_distance_m"] > 799.0
-            column = {label: f"{found.sum():,}" for label, found in counts.items()}
-            column["most delta v (m/s)"] = f"{metrics['delta_v_m_s'].max():.2f}"
-            column["farthest from the chief (m)"] = f"{episodes['max_distance_m'].max():.0f}"
-            columns.append(column)
-    return ([label, *(column[label] for column in columns)] for label in columns[0])
-
-
-def switched(found: Mapping[str, Mapping[str, Any]]) -> dict[tuple[str, str], Any]:
-    """Returns what is said of flights with the filter off and on, by label and "without" or "with"."""
-    ways = {"without": "off", "with": "on"}
-    return {(label, way): each[key] for label, each in found.items() for way, key in ways.items()}
-
-
-def of_arms(cross: Mapping[str, Mapping[str, Results]]) -> Rows:
-    """Yields what `agents` does of arms flown without and with the filter."""
-    return agents(switched(labelled(cross)))
-
-
-def our_dependence() -> Rows:
-    yield from of_arms(report("cross"))
-    yield from agents({(LABELS["rta"], "with, and `keep_clear`"): read("keep_clear/keep_clear.json")})
-
-
-def baselines() -> Rows:
-    names = {
-        "untrained": "untrained agent",
-        "random": "random controls",
-        "natural-motion": "guidance natural-motion",
-        GUIDE: f"guidance {GUIDE}",
-    }
-    found = report("baselines")
-    return agents(switched({label: found[name] for name, label in names.items()}))
-
-
-def worlds() -> Rows:
-    for plant in ("u1", "harsh"):
-        flown = report("worlds")[plant]
-        for arm in ARMS:
-            cells = (
-                f"{SUCCESS(each)}, {CLEAN(each)}, {VIOLATION(each)}, {REWARD(each)}"
-                for each in flown[arm].values()
-            )
-            yield plant, LABELS[arm], *cells
-
-
-def middle_of_cases(seeds: list[Any], name: str) -> float:
-    """Returns the interquartile mean over the cases of evaluations."""
-    return float(iqm(np.concatenate([seed["cases"][name] for seed in seeds])))
-
-
-def evaluated(study: str, arm: str, interactions: int) -> dict[str, float]:
-    """Returns means over the seeds' evaluations of an arm after so many interactions."""
-    lines = read(f"{study}/{arm}/evaluations.jsonl")
-    seeds = [line for line in lines if line["interactions"] == interactions]
-    found = {
-        name: middle_of_cases(seeds, name) for name in ("inspected_score", "delta_v_m_s", "episode_length_s")
-    }
-    found["success"] = 100.0 * float(np.mean([seed["outcomes"]["success"] for seed in seeds]))
-    return found | {"reward": float(np.mean([seed["cases"]["reward"] for seed in seeds]))}
+    for arm, results in read("our_learner/results")["arms"].items():
+        columns += [results, papers(arm)] if arm in ARMS else [results]
+    return across(lines, *columns)
 
 
 def learned(study: str, *times: int, among: Iterable[str] = ARMS) -> Rows:
     """Yields what the agents of a study's arms had learned after so many interactions."""
     with open(REFERENCE / study / "report/training.csv", newline="", encoding="utf-8") as file:
-        found = {
-            (row["interactions"], row["arm"], row["metric"]): float(row["iqm"])
-            for row in csv.DictReader(file)
-        }
-    forms = {"inspected_score": ".2f", "reward": ".3f", "delta_v_m_s": ".2f", "episode_length_s": ",.0f"}
+        iqms = {(row["interactions"], row["arm"], row["metric"]): row["iqm"] for row in csv.DictReader(file)}
+    metrics = [METRICS[name] for name in ("score", "reward", "fuel", "time")]
     for when in times:
-        cells = (f"{found[f'{when}', arm, name]:{form}}" for name, form in forms.items() for arm in among)
-        yield f"{when:,}", *cells
+        cells = (f"{float(iqms[f'{when}', arm, key]):{form}}" for key, form in metrics for arm in among)
+        yield " | ".join([f"{when:,}", *cells])
+
+
+def hidden(study: str) -> Rows:
+    """Yields counts over all episodes of a study's arms."""
+    columns = []
+    for arm in read(f"{study}/results")["arms"]:
+        with np.load(REFERENCE / study / arm / "episodes.npz") as episodes:
+            metrics = dict(zip(episodes["metric_names"], episodes["metrics"], strict=True))
+            violated = dict(zip(episodes["constraint_names"], episodes["violation_seconds"], strict=True))
+            succeeded = episodes["outcome"] == list(episodes["outcome_names"]).index("success")
+            far, drifts = episodes["max_distance_m"], ~episodes["clear"]
+        drift = "succeed, but would drift into the chief within two days if thrust stopped at the end"
+        columns.append(
+            {
+                "succeed": f"{succeeded.sum():,}",
+                drift: f"{(succeeded & drifts).sum():,}",
+                "violate a limit in some second": f"{(violated['any'] > 0.0).sum():,}",
+                "last longer than 4,500 s": f"{(metrics['episode_length_s'] > 4500.0).sum():,}",
+                "come within 1 m of the zone's edge, 800 m out, or leave it": f"{(far > 799.0).sum():,}",
+                "most delta v (m/s)": f"{metrics['delta_v_m_s'].max():.2f}",
+                "farthest from the chief (m)": f"{far.max():.0f}",
+            }
+        )
+    return (" | ".join([label, *(column[label] for column in columns)]) for label in columns[0])
 
 
 def early() -> Rows:
-    trained = "{success:.1f}, {reward:.3f}, {delta_v_m_s:.2f}, {episode_length_s:,.0f}"
-    forms = {0: "{inspected_score:.2f}, {success:.1f}", 294_912: trained, 507_904: trained}
-    for arm in ARMS:
-        yield LABELS[arm], *(form.format(**evaluated("study", arm, when)) for when, form in forms.items())
-
-
-def field_trained() -> Rows:
-    limits = (
-        "battery",
-        "attitude_exclusion",
-        "dynamic_speed",
-        "keep_in_zone",
-        "temperature",
-        "passive_safety",
-    )
-    for name, found in read("field/results.json")["arms"].items():
-        steps, broken = found["training"]["steps"], found["training"]["violated"]
-        shares = (f"{100.0 * broken[limit] / steps:.2f}" for limit in ("any", *limits))
-        worst = (f"{found['training']['smallest_h'][limit]:.2g}" for limit in ("collision", "keep_in_zone"))
-        yield f"`{name}`", f"{found['seeds']}", f"{broken['any']:,}", *shares, *worst
-
-
-def field_flown() -> Rows:
-    found = read("field/results.json")
-    flown = {f"`{name}`": arm["flown"] for name, arm in found["arms"].items()}
-    flown |= {f"guidance `{name}`": each for name, each in found["guidance"].items()}
-
-    def of_seeds(name: str, form: str, factor: float = 1.0) -> Column:
-        """Returns the column of [least, most] over the seeds."""
-
-        def cell(results: Results) -> str:
-            seeds = [factor * value for value in results["per_seed"][name]]
-            return f"[{min(seeds):{form}}, {max(seeds):{form}}]"
-
-        return cell
-
-    beside = {
-        SUCCESS: of_seeds("success", ".0f", 100.0),
-        number("corrected_percent", ".1f"): of_seeds("corrected_percent", ".1f"),
-        metric("reward", "{iqm} ({mean})"): of_seeds("reward", ".3f"),
-    }
-    success, corrections, reward = (
-        lambda results, value=value, seeds=seeds: f"{value(results)} {seeds(results)}"
-        for value, seeds in beside.items()
-    )
-    broken = lambda results: f"{results['violating_episodes']} of {results['episodes']:,}"  # noqa: E731
-    shares = CLEAN, broken, number("violations_percent", ".3f")
-    return rows(switched(flown), success, *shares, corrections, reward, TIME, FUEL)
-
-
-def guidance_flown() -> Rows:
-    ways = ("every 10 s, no filter", "every second, no filter", "every second, filter")
-    for name, flown in read("guidance/guidance.json")["guidance"].items():
-        found = {(name, way): results for way, results in zip(ways, flown.values(), strict=True)}
-        counts = number("violating_episodes"), number("drifting_successes")
-        means = (metric(each, "{iqm} ({mean}), {p95}") for each in ("episode_length_s", "delta_v_m_s"))
-        yield from rows(found, SUCCESS, CLEAN, *counts, *means)
-
-
-def papers_filter() -> Rows:
-    """Yields what the paper's filter lets through: by period and controls, episodes, steps, limits, slack, unsolved."""
-    for period, policy in product((1, 5, 10), POLICIES):
-        found = read(f"paper_filter/{policy}_{period}s.json")
-        broken = {
-            name: count for name, count in found["violating_episodes"].items() if count and name != "any"
-        }
-        limits = [
-            f"{name.replace('_', ' ')} {count:,} ({found['worst_value'][name]:.2g} {UNITS[name]})"
-            for name, count in sorted(broken.items(), key=lambda item: -item[1])
-        ]
-        steps = 100.0 * found["violating_steps"]["any"] / found["steps"]
-        slack = 100.0 * found["filter_calls"]["slack"] / calls(found)
-        yield (
-            *(f"{period}", policy, violating(found), f"{steps:.1f}", ", ".join(limits)),
-            *(f"{slack:.1f}", f"{found['unsolved']:,}"),
-        )
+    """Yields what the taught agents fly before the lessons, after them and at the end."""
+    trained = "{success:.1%}, {reward:.3f}, {delta_v_m_s:.2f}, {episode_length_s:,.0f}"
+    columns = {0: "{inspected_score:.2f}, {success:.1%}", 294_912: trained, 507_904: trained}
+    for arm, label in ARMS.items():
+        text = (REFERENCE / f"study/{arm}/evaluations.jsonl").read_text(encoding="utf-8")
+        lines = [json.loads(line) for line in text.splitlines()]
+        cells = []
+        for when, template in columns.items():
+            seeds = [line for line in lines if line["interactions"] == when]
+            keys = "inspected_score", "reward", "delta_v_m_s", "episode_length_s"
+            cases = {key: np.concatenate([seed["cases"][key] for seed in seeds]) for key in keys}
+            numbers = {key: iqm(values) for key, values in cases.items()} | {"reward": cases["reward"].mean()}
+            success = np.mean([seed["outcomes"]["success"] for seed in seeds])
+            cells.append(filled(template, numbers | {"success": success}))
+        yield " | ".join([label, *cells])
 
 
 def flown() -> Rows:
-    found = [campaign(policy) for policy in POLICIES]
+    """Returns what campaigns of random and of adversarial controls flew: by limit, then of all."""
+    of_limit = "{violating_episodes.LIMIT:,} | {worst_value.LIMIT:.3g} at {worst_case.LIMIT.time_s:g} s"
+    lines = []
     for limit, unit in UNITS.items():
         label = f"{PAPER_VIOLATIONS[limit].label} ({unit.replace('^2', '²').replace('deg ', '°')})"
-        smallest = (
-            f"{each['worst_value'][limit]:.3g} at {each['worst_case'][limit]['time_s']:g} s" for each in found
-        )
-        broken = (f"{each['violating_episodes'][limit]:,}" for each in found)
-        yield label, next(broken), next(smallest), next(broken), next(smallest)
-    for label, column in {
-        "any: episodes violated": violating,
-        "probability that an episode violates any, below": number("upper_bound_95", ".2g"),
-        "calls of the filter": lambda each: f"{calls(each):,}",
-        "of these unsolved": number("filter_calls/unsolved"),
-        "of these with slack": number("filter_calls/slack"),
-        "in which the backup decided (%)": backup,
-        "states that keep every limit and are no starts": lambda each: (
-            # of older reports by margins
-            f"{each.get('starts_rejected', each.get('starts_rejected_by_margin')):,}"
-        ),
-    }.items():
-        random, adversarial = map(column, found)
-        yield label, random, "", adversarial, ""
+        lines.append(f"{label} | {of_limit.replace('LIMIT', limit)}")
+    lines += [
+        "any: episodes violated | {violating_episodes.any:,} of {episodes:,} | ",
+        "probability that an episode violates any, below | {upper_bound_95:.2g} | ",
+        "calls of the filter | {filter_calls.sum:,} | ",
+        "of these unsolved | {filter_calls.unsolved:,} | ",
+        "of these with slack | {filter_calls.slack:,} | ",
+        "in which the backup decided (%) | {backup} | ",
+        "states that keep every limit and are no starts | {starts_rejected:,} | ",
+    ]
+    campaigns = map(campaign, AXES["policy"])
+    return across(lines, *(each | {"backup": backup(each)} for each in campaigns))
 
 
-def adversaries() -> Rows:
-    learned = {"motion": "motion", "passive": "passive safety", "attitude": "attitude, temperature, energy"}
-    names = {
-        ("the model", "adversarial"): "adversarial_between",
-        ("the model", "lookahead"): "lookahead",
-        **{("the model", f"learned: {label}"): f"learned_{name}" for name, label in learned.items()},
-        ("U1", "lookahead, 8 for two calls"): "u1_lookahead",
-        **{("U1", f"learned: {label}"): f"u1_learned_{name}" for name, label in learned.items()},
-    }
-    found = {label: campaign(name) for label, name in names.items()}
-    return campaigns(
-        {(*label, f"{each['campaign']['check_every']:g}"): each for label, each in found.items()}
-    )
+LATENCY = "{NAME_latency_ms.median:.3f} ms, 99 % below {NAME_latency_ms.p99:.3f} ms"
+RANDOM = "{random_call_us.NAME:.1f} µs [{min_max.random_call_us.NAME.0:.1f}, {min_max.random_call_us.NAME.1:.1f}] | "
+SPEED = (
+    "decisions of 10 s, no RTA | {simulator_steps_per_s:,.0f} per s | 53 per s",
+    "decisions of 10 s, with RTA at 1 / 5 / 10 s | {closed_loop_steps_per_s.1:,.0f}"
+    " / {closed_loop_steps_per_s.5:,.0f} / {closed_loop_steps_per_s.10:,.0f} per s | 8 per s at 1 s",
+    "filter calls | {filter_calls_per_s:,.0f} per s | 2,000 to 2,600 per s",
+    "a filter call under random demands, from the paper's starts | " + RANDOM.replace("NAME", "paper"),
+    "a filter call under random demands, from the edge of the zone | " + RANDOM.replace("NAME", "edge"),
+    "a filter call under random demands, from the paper's starts in U1 | " + RANDOM.replace("NAME", "u1"),
+    "filter calls, with U1's bounds | {told_filter_calls_per_s:,.0f} per s | ",
+    "calls of the paper's filter: each has a program, every third has"
+    " | {paper_filter_calls_per_s.every:,.0f} / {paper_filter_calls_per_s.third:,.0f} per s | ",
+    "through Gymnasium, no RTA, NumPy / PyTorch"
+    " | {gymnasium_steps_per_s.numpy:,.0f} / {gymnasium_steps_per_s.torch:,.0f} per s | ",
+    f"one filter call alone, NumPy in and out | {LATENCY.replace('NAME', 'single_filter')} | 0.36 to 0.49 ms",
+    f"one filter call alone, with U1's bounds | {LATENCY.replace('NAME', 'told_filter')} | ",
+    f"one call of the paper's filter alone | {LATENCY.replace('NAME', 'paper_filter')} | ",
+    "samples learned, 1,024 at once | {learner_samples_per_s:,.0f} per s, {learner_matmul_share:.0%} % of the"
+    " float32 matrix-product rate ({matmul_gflops:.0f} Gflop/s) | ",
+    "peak memory, up to 65,536 episodes | {peak_memory_mb:,.0f} MB | ",
+    "to compile the filter for the first time | {compile_s.filter:.0f} s | ",
+    "to compile the simulator for the first time | {compile_s.simulator:.0f} s | ",
+    "to compile the filter with [uncertainty] for the first time | {compile_s.filter with [uncertainty]:.0f} s | ",
+)
 
-
-def told_worlds() -> Rows:
-    steady, worst = "U1, every error steady at a corner", "U1, the worst errors at every call"
-    names = {
-        (steady, "pressing"): "u1_steady_pressing",
-        (steady, "adversarial"): "u1_steady_adversarial",
-        (worst, "pressing"): "u1_worst_pressing",
-        (worst, "adversarial"): "u1_worst_adversarial",
-        (worst, "lookahead"): "u1_worst_lookahead",
-        (worst, "random"): "u1_worst_random",
-        ("U1, minimum impulse", "adversarial"): "u1_minimum_thrust",
-        ("U1, quanta", "adversarial"): "u1_thrust_quantum",
-    }
-    found = {label: campaign(name) for label, name in names.items()}
-    yield from campaigns(both("U1", "u1_{}") | found)
-
-
-def barely() -> Rows:
-    found = {
-        (f"{vehicle}, {period} s", demand): read(f"measure/{prefix}barely_{demand}_{period}s.json")
-        for vehicle, prefix, periods in (("the paper's", "", (1, 5, 10)), ("ESPA", "espa_", (10,)))
-        for period in periods
-        for demand in ("opposite", "full", "lookahead")
-    }
-    shares = number("moved_by_check_percent", ".2f"), number("unverified_percent", ".3g")
-    return rows(found, number("calls"), *shares, number("measured/episodes"), number("broken_episodes"))
-
-
-def changed() -> Rows:
-    """What the filter makes of a demand, by period."""
-    groups = [f"{change}_of_{group}" for change in ("change", "chatter") for group in ("thrust", "torque")]
-    forms = {"corrected_percent": ".2f"} | dict.fromkeys(groups, ".4f") | {"moved_by_check_percent": ".2f"}
-    for demand in ("random", "waypoints", "agent"):
-        for period in (1, 5, 10):
-            found = read(f"measure/{demand}_{period}s.json")
-            cells = (f"{found[name]:{form}}" for name, form in forms.items())
-            yield demand, f"{period}", *cells
-
-
-def coasting() -> Rows:
-    labels = (
-        "as the paper: gravity linear, Hill's frame at rest",
-        "`hill_rotation = true`",
-        "Basilisk itself with J2",
-        "Basilisk itself with drag",
-    )
-    found = read("basilisk/basilisk.json")["coasting"]
-    last = [{key: values[-1] for key, values in errors.items()} for errors in found["models"].values()]
-    names = {"position_m": ".2g", "position_median_m": ".2g", "attitude_deg": ".2g", "rate_rad_s": ".1g"}
-    for label, error in zip(labels, [*last, *found["perturbed"].values()], strict=True):
-        yield label, *(f"{error[name]:{form}}" for name, form in names.items())
-
-
-def agents_in_basilisk() -> Rows:
-    places = "ours", "Basilisk", "with J2 and drag", "with wheels and pulses"
-    for arm, worlds in read("basilisk/basilisk.json")["agents"].items():
-        for place, found in zip(places, worlds.values(), strict=True):
-            cells = [number("episodes")(found), number("violating_episodes")(found)]
-            cells[1:1] = [number(name, ".1f")(found) for name in ("success_percent", "clean_percent")]
-            for name, digits in {"reward": 3, "episode_length_s": 0, "delta_v_m_s": 3}.items():
-                apart = found["difference"][name]
-                beside = f" ({apart['mean']:+.{digits}f} ± {apart['standard_error']:.{digits}f})"
-                cells.append(f"{found['mean'][name]:,.{digits}f}" + (beside if place != "ours" else ""))
-            yield LABELS[arm], place, *cells
-
-
-def speed() -> Iterator[tuple[str, str, str]]:
-    b = read("benchmark.json")
-
-    def per_s(name: str) -> str:
-        rates = b[name].values() if isinstance(b[name], dict) else [b[name]]
-        return " / ".join(f"{rate:,.0f}" for rate in rates) + " per s"
-
-    def latency(name: str) -> str:
-        return f"{b[name]['median']:.3f} ms, 99 % below {b[name]['p99']:.3f} ms"
-
-    yield "decisions of 10 s, no RTA", per_s("simulator_steps_per_s"), "53 per s"
-    yield "decisions of 10 s, with RTA at 1 / 5 / 10 s", per_s("closed_loop_steps_per_s"), "8 per s at 1 s"
-    yield "filter calls", per_s("filter_calls_per_s"), "2,000 to 2,600 per s"
-    starts = "from the paper's starts", "from the edge of the zone", "from the paper's starts in U1"
-    for where, us, (low, high) in zip(
-        starts, b["random_call_us"].values(), b["min_max"]["random_call_us"].values(), strict=True
-    ):
-        yield f"a filter call under random demands, {where}", f"{us:.1f} µs [{low:.1f}, {high:.1f}]", ""
-    yield "filter calls, with U1's bounds", per_s("told_filter_calls_per_s"), ""
-    every, third = (f"{rate:,.0f}" for rate in b["paper_filter_calls_per_s"].values())
-    yield "calls of the paper's filter: each has a program, every third has", f"{every} / {third} per s", ""
-    yield "through Gymnasium, no RTA, NumPy / PyTorch", per_s("gymnasium_steps_per_s"), ""
-    yield "one filter call alone, NumPy in and out", latency("single_filter_latency_ms"), "0.36 to 0.49 ms"
-    yield "one filter call alone, with U1's bounds", latency("told_filter_latency_ms"), ""
-    yield "one call of the paper's filter alone", latency("paper_filter_latency_ms"), ""
-    part = f"{100 * b['learner_matmul_share']:.0f} % of the float32 matrix-product rate"
-    learner = f"{per_s('learner_samples_per_s')}, {part} ({b['matmul_gflops']:.0f} Gflop/s)"
-    yield "samples learned, 1,024 at once", learner, ""
-    yield "peak memory, up to 65,536 episodes", f"{b['peak_memory_mb']:,.0f} MB", ""
-    for name, s in b["compile_s"].items():
-        yield f"to compile the {name} for the first time", f"{s:.0f} s", ""
-
-
-def parts_of_a_step() -> Rows:
-    labels = (
-        "whole closed loop",
-        "of this: the filter",
-        "integration, ten substeps",
-        "point visibility and k-means",
-        "agent",
-        "observation, rewards, constraint values, restarts",
-    )
-    parts = dict(zip(labels, read("benchmark.json")["closed_loop_us"].values(), strict=True))
-    return rows(parts, *(number(batch, ".1f") for batch in ("256", "1024", "4096", "65536")))
-
-
-def boundary() -> Rows:
-    for period in (1, 5, 10):
-        found = campaign("boundary", period)
-        broken = f"{found['violating_draws']['any']:,} of {found['draws']:,}"
-        decided = 100.0 * found["backup_calls"] / found["filter_calls"]
-        yield f"{period}", broken, f"{found['upper_bound_95']:.1e}", f"{decided:.1f}"
-
-
-TABLES: dict[str, Callable[[], Rows]] = {
-    **{
-        table.__name__: table
-        for table in (
-            *(front, kept, open_settings, performance, violations, our_dependence, baselines, worlds),
-            *(early, field_trained, field_flown, guidance_flown, flown),
+TABLES: dict[str, str | Callable[[], Rows]] = {
+    "front": """
+        success | clean | violation | reward | time | fuel
+        *the paper's agents {arm}* <- paper:{arm}
+        our learner, the paper's task, without RTA <- our_learner/results:arms.no_rta
+        our learner, the paper's task, with our filter <- our_learner/results:arms.rta
+        ours, from nothing, without RTA <- from_nothing/results:arms.no_rta
+        ours, from nothing, with our filter <- from_nothing/results:arms.rta
+        agents taught by the guidance, with our filter <- study/results:arms.rta
+        classical guidance with our filter <- from_nothing/report/baselines:quick.on
+    """,
+    "kept": kept,
+    "open_settings": open_settings,
+    "performance": lambda: beside_the_paper(
+        [
             *(
-                papers_filter,
-                adversaries,
-                told_worlds,
-                barely,
-                changed,
-                boundary,
-                coasting,
+                f"{each.label} | {metric(name, f'.{each.digits}f', '{iqm} [{ci95.0}, {ci95.1}]')}"
+                for name, each in PAPER_METRICS.items()
             ),
-            *(agents_in_basilisk, speed, parts_of_a_step),
-        )
-    },
+            "Success (%) | {outcomes.success:.1%}",
+            "Clean success (%) | {outcomes.clean_success:.1%}",
+            "Any violation (mean % of steps) | {violations_percent.any:.3f}",
+            "Any violation (mean % of seconds) | {violations_percent_of_seconds.any:.3f}",
+        ]
+    ),
+    "violations": lambda: beside_the_paper(
+        f"{each.label} | {{violations_percent.{name}:.3f}}" for name, each in PAPER_VIOLATIONS.items()
+    ),
     "papers_learning": lambda: learned(
         "our_learner", 0, 65_536, 163_840, 311_296, 507_904, 1_015_808, 3_014_656, 5_013_504
     ),
@@ -664,45 +450,159 @@ TABLES: dict[str, Callable[[], Rows]] = {
         "from_nothing", 0, 114_688, 311_296, 507_904, 1_015_808, 2_015_232, 3_014_656, 5_013_504
     ),
     "our_long": lambda: learned(
-        "long",
-        835_584,
-        2_506_752,
-        5_013_504,
-        10_010_624,
-        20_004_864,
-        30_015_488,
-        40_009_728,
-        50_003_968,
+        *("long", 835_584, 2_506_752, 5_013_504, 10_010_624, 20_004_864, 30_015_488, 40_009_728, 50_003_968),
         among=["rta"],
     ),
-    "our_longer": longer,
     "papers_hidden": lambda: hidden("our_learner"),
     "our_hidden": lambda: hidden("from_nothing"),
-    "papers_dependence": lambda: of_arms(read("our_learner/report/cross.json")),
-    "our_spread": lambda: spread(labelled(arms("from_nothing"))),
-    "taught": lambda: spread(labelled(arms("study"))),
-    "guidance_front": lambda: agents(report("front")),
-    "thrifty_to_quick": lambda: agents({**arms("teachers"), GUIDE: arms("study")["rta"]}),
-    "periods_of_agents": lambda: agents(report("frequency")),
-    "periods_of_campaigns": lambda: campaigns(
-        {(f"{s}", each): campaign(each, s) for s in (1, 5, 10) for each in (*POLICIES, "lookahead")}
-    ),
-    "vehicles": lambda: campaigns(
-        {key: each for name, label in VEHICLES.items() for key, each in both(label, f"{name}_{{}}").items()}
-    ),
-    "agents_of_vehicles": lambda: agents(
-        {label: arms(f"vehicles/{name}")["rta"] for name, label in VEHICLES.items()}
-    ),
-    "agents_of_chiefs": lambda: agents(
-        {label: arms(f"chiefs/{name}")["rta"] for name, label in CHIEFS.items()}
-    ),
-    "beside_the_hull": lambda: campaigns({policy: campaign(f"hull_{policy}") for policy in POLICIES}),
-    "in_c": lambda: campaigns(
-        both("1 s", "in_c_{}") | {("U1's bounds", "random"): campaign("u1_in_c_random")}
-    ),
-    "campaigns_in_basilisk": lambda: campaigns(
-        {policy: read(f"basilisk/u1_{policy}.json") for policy in (*POLICIES, "lookahead")}
-    ),
+    "papers_dependence": AGENTS
+    + """
+        {arm} | {way} <- our_learner/report/cross:{arm}.{way}
+        with RTA every {later} s | {way} <- our_learner/report/cross:rta_{later}s.{way}
+    """,
+    "our_dependence": AGENTS
+    + """
+        {arm} | {way} <- from_nothing/report/cross:{arm}.{way}
+        with RTA | with, and `keep_clear` <- keep_clear/keep_clear
+    """,
+    "our_spread": SPREAD + "{arm} <- from_nothing/results:arms.{arm}",
+    "taught": SPREAD + "{arm} <- study/results:arms.{arm}",
+    "our_longer": """
+        success | clean | reward: {iqm}, {mean} | time: {iqm}, {p5} to {p95}, {max} | fuel: {iqm}, {p5} to {p95}, {max}
+        10 seeds, 5 million <- from_nothing/results:arms.rta
+        1 seed, 50 million <- long/results:arms.rta
+    """,
+    "guidance_front": AGENTS + "{} <- from_nothing/report/front:{}",
+    "baselines": AGENTS
+    + """
+        untrained agent | {way} <- from_nothing/report/baselines:untrained.{way}
+        random controls | {way} <- from_nothing/report/baselines:random.{way}
+        guidance natural-motion | {way} <- from_nothing/report/baselines:natural-motion.{way}
+        guidance quick | {way} <- from_nothing/report/baselines:quick.{way}
+    """,
+    "worlds": """
+        off | nominal | robust
+        u1 | {arm} <- from_nothing/report/worlds:u1.{arm}
+        harsh | {arm} <- from_nothing/report/worlds:harsh.{arm}
+    """,
+    "early": early,
+    "periods_of_agents": AGENTS + "{} <- from_nothing/report/frequency:{}",
+    "thrifty_to_quick": AGENTS
+    + """
+        {} <- teachers/results:arms.{}
+        quick <- study/results:arms.rta
+    """,
+    "agents_of_vehicles": AGENTS + "{vehicle} <- vehicles/{vehicle}/results:arms.rta",
+    "agents_of_chiefs": AGENTS
+    + """
+        box between panels, fixed <- chiefs/box/results:arms.rta
+        satellite, tumbling <- chiefs/satellite/results:arms.rta
+    """,
+    "guidance_flown": """
+        success | clean | {violating_episodes:,} | {drifting_successes:,}
+        time: {iqm} ({mean}), {p95} | fuel: {iqm} ({mean}), {p95}
+        {} | {decides} <- guidance/guidance:guidance.{}.{decides}
+    """,
+    "field_trained": """
+        {seeds} | {training.violated.any:,}
+        {training.violated.any/training.steps:.2%} | {training.violated.battery/training.steps:.2%}
+        {training.violated.attitude_exclusion/training.steps:.2%} | {training.violated.dynamic_speed/training.steps:.2%}
+        {training.violated.keep_in_zone/training.steps:.2%} | {training.violated.temperature/training.steps:.2%}
+        {training.violated.passive_safety/training.steps:.2%}
+        {training.smallest_h.collision:.2g} | {training.smallest_h.keep_in_zone:.2g}
+        `{}` <- field/results:arms.{}
+    """,
+    "field_flown": """
+        {outcomes.success:.1%} [{per_seed.success.min:.0%}, {per_seed.success.max:.0%}] | clean
+        {violating_episodes} of {episodes:,} | {violations_percent:.3f}
+        {corrected_percent:.1f} [{per_seed.corrected_percent.min:.1f}, {per_seed.corrected_percent.max:.1f}]
+        {metrics.reward.iqm:.3f} ({metrics.reward.mean:.3f}) [{per_seed.reward.min:.3f}, {per_seed.reward.max:.3f}]
+        time | fuel
+        `{}` | {way} <- field/results:arms.{}.flown.{way}
+        guidance `{}` | {way} <- field/results:guidance.{}.{way}
+    """,
+    "papers_filter": """
+        violating | {violating_steps.any/steps:.1%} | broken | {filter_calls.slack/filter_calls.sum:.1%} | {unsolved:,}
+        {s} | {policy} <- paper_filter/{policy}_{s}s
+    """,
+    "flown": flown,
+    "periods_of_campaigns": CAMPAIGNS
+    + """
+        1 | {any_policy} <- verification/{any_policy}
+        {later} | {any_policy} <- frequency/{any_policy}_{later}s
+    """,
+    "adversaries": """
+        {campaign.check_every:g} | violating | probability | zone | PSM | slack | backup
+        the model | adversarial <- verification/adversarial_between
+        the model | lookahead <- verification/lookahead
+        the model | learned: {learned} <- verification/learned_{learned}
+        U1 | lookahead, 8 for two calls <- verification/u1_lookahead
+        U1 | learned: {learned} <- verification/u1_learned_{learned}
+    """,
+    "told_worlds": CAMPAIGNS
+    + """
+        U1 | {policy} <- verification/u1_{policy}
+        U1, every error steady at a corner | pressing <- verification/u1_steady_pressing
+        U1, every error steady at a corner | adversarial <- verification/u1_steady_adversarial
+        U1, the worst errors at every call | {worst} <- verification/u1_worst_{worst}
+        U1, minimum impulse | adversarial <- verification/u1_minimum_thrust
+        U1, quanta | adversarial <- verification/u1_thrust_quantum
+    """,
+    "vehicles": CAMPAIGNS + "{vehicle} | {policy} <- verification/{vehicle}_{policy}",
+    "beside_the_hull": CAMPAIGNS + "{policy} <- verification/hull_{policy}",
+    "in_c": CAMPAIGNS
+    + """
+        1 s | {policy} <- verification/in_c_{policy}
+        U1's bounds | random <- verification/u1_in_c_random
+    """,
+    "campaigns_in_basilisk": CAMPAIGNS + "{any_policy} <- basilisk/u1_{any_policy}",
+    "boundary": """
+        {violating_draws.any:,} of {draws:,} | {upper_bound_95:.1e} | {backup_calls/filter_calls:.1%}
+        1 <- verification/boundary
+        {later} <- frequency/boundary_{later}s
+    """,
+    "barely": """
+        {calls:,} | {moved_by_check_percent:.2f} | {unverified_percent:.3g}
+        {measured.episodes:,} | {broken_episodes:,}
+        the paper's, {s} s | {barely} <- measure/barely_{barely}_{s}s
+        ESPA, 10 s | {barely} <- measure/espa_barely_{barely}_10s
+    """,
+    "changed": """
+        {corrected_percent:.2f} | {change_of_thrust:.4f} | {change_of_torque:.4f}
+        {chatter_of_thrust:.4f} | {chatter_of_torque:.4f} | {moved_by_check_percent:.2f}
+        {demand} | {s} <- measure/{demand}_{s}s
+    """,
+    "coasting": """
+        {position_m.-1:.2g} | {position_median_m.-1:.2g} | {attitude_deg.-1:.2g} | {rate_rad_s.-1:.1g}
+        as the paper: gravity linear, Hill's frame at rest <- basilisk/basilisk:coasting.models.as the paper
+        `hill_rotation = true` <- basilisk/basilisk:coasting.models.and Hill's frame turns
+        {position_m:.2g} | {position_median_m:.2g} | {attitude_deg:.2g} | {rate_rad_s:.1g}
+        Basilisk itself with {} <- basilisk/basilisk:coasting.perturbed.{}
+    """,
+    "agents_in_basilisk": """
+        flights | means
+        without RTA | ours <- basilisk/basilisk:agents.no_rta.own
+        flights | means apart
+        without RTA | Basilisk <- basilisk/basilisk:agents.no_rta.basilisk
+        without RTA | with J2 and drag <- basilisk/basilisk:agents.no_rta.basilisk, J2 and drag
+        without RTA | with wheels and pulses <- basilisk/basilisk:agents.no_rta.basilisk, wheels and pulses
+        flights | means
+        with RTA | ours <- basilisk/basilisk:agents.rta.own
+        flights | means apart
+        with RTA | Basilisk <- basilisk/basilisk:agents.rta.basilisk
+        with RTA | with J2 and drag <- basilisk/basilisk:agents.rta.basilisk, J2 and drag
+        with RTA | with wheels and pulses <- basilisk/basilisk:agents.rta.basilisk, wheels and pulses
+    """,
+    "speed": lambda: across(SPEED, read("benchmark")),
+    "parts_of_a_step": """
+        {256:.1f} | {1024:.1f} | {4096:.1f} | {65536:.1f}
+        whole closed loop <- benchmark:closed_loop_us.total
+        of this: the filter <- benchmark:closed_loop_us.filter
+        integration, ten substeps <- benchmark:closed_loop_us.integration
+        point visibility and k-means <- benchmark:closed_loop_us.visibility and k-means
+        agent <- benchmark:closed_loop_us.agent
+        observation, rewards, constraint values, restarts <- benchmark:closed_loop_us.rest
+    """,
 }
 
 if __name__ == "__main__":
