@@ -1,4 +1,4 @@
-"""What a training run reports of its environment: one set of scalars per update, and the limits broken in all of it.
+"""A training run's reports on its environment: one set of scalars per update, and violated limits in all of training.
 
 Every tag is explained in docs/reference/commands.md.
 """
@@ -19,10 +19,10 @@ EPISODE = tuple(name.removeprefix("episode_") for name in (*METRICS, "success_pe
 
 
 class Exposure:
-    """Counts the limits broken in all of training, with the smallest h, at the ends of steps.
+    """Counts violated limits in all of training, and keeps the smallest h, both at the ends of steps.
 
     Attributes:
-        violated: (constraints + 1, B) interactions of each episode slot that ended beyond a limit, the last row any.
+        violated: (constraints + 1, B) interactions of each episode slot that ended with a violation, the last row any.
         worst: (constraints, B) smallest h; counted: (B,) interactions.
     """
 
@@ -33,7 +33,7 @@ class Exposure:
         self.counted = torch.zeros(slots, dtype=torch.int64, device=device)
 
     def __call__(self, transition: Transition) -> None:
-        """Takes in one interaction of the batch."""
+        """Adds one interaction of the batch."""
         self.violated[:-1] += transition.violated
         self.violated[-1] += transition.violated.any(0)
         self.worst = torch.minimum(self.worst, transition.h)
@@ -82,7 +82,7 @@ class LatestEpisodes:
         self.ended = torch.zeros(slots, dtype=torch.float64, device=device)
 
     def __call__(self, transition: Transition) -> None:
-        """Takes in one interaction of the batch."""
+        """Adds one interaction of the batch."""
         success = 100.0 * (transition.outcome == OUTCOMES.index("success"))
         now = torch.cat((transition.metrics, success[None]))
         self.metrics = torch.where(transition.done, now, self.metrics)
@@ -143,7 +143,7 @@ class Monitor:
         return replace(safety, correct=correct)
 
     def __call__(self, transition: Transition) -> None:
-        """Takes in one interaction of the batch."""
+        """Adds one interaction of the batch."""
         self.steps += transition.reward.numel()
         self.count(violated=transition.violated.sum(1), any_violated=transition.violated.any(0).sum())
         self.count(**{f"step_reward/{name}": term.sum() for name, term in transition.reward_terms.items()})
