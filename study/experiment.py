@@ -155,7 +155,7 @@ class Experiment:
         return env
 
     def policy(self, generators: Sequence[torch.Generator]) -> Policy:
-        """A freshly initialised policy, one seed per generator."""
+        """Returns a freshly initialised policy, one seed per generator."""
         return make_policy(self.config, generators)
 
     def value(self, generators: Sequence[torch.Generator]) -> Value:
@@ -257,7 +257,7 @@ def test_cases(config: Config, episodes: int, seed: int) -> Starts:
 
 def plant_numbers(episodes: int, seed: int) -> Tensor:
     """Returns the numbers (episodes,) from which the plants and chiefs of the test cases of a seed follow."""
-    return uniform(0.0, 1.0, episodes, torch.Generator().manual_seed(seed + 1))  # another stream than the states'
+    return uniform(0.0, 1.0, episodes, torch.Generator().manual_seed(seed + 1))  # not the states' stream
 
 
 def check_clocks(
@@ -312,7 +312,7 @@ def settled(config: AnyConfig) -> AnyConfig:
 
 
 def make_policy(config: Config, generators: Sequence[torch.Generator]) -> Policy:
-    """A freshly initialised policy, one seed per generator."""
+    """Returns a freshly initialised policy, one seed per generator."""
     ppo = config.ppo
     return Policy(
         len(components(config.inspection)),

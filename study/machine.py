@@ -35,9 +35,7 @@ WITHOUT_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, NF
 WORTH_COMPILING = 150
 # An uncompiled filter flies its check in Python, up to 1 s a call; compiling the filter takes 4 to 10 s.
 WORTH_COMPILING_FILTER = 10
-MOST_THREADS = (
-    4096  # the most used so far; numbers of threads that cannot be started end the process
-)
+MOST_THREADS = 4096  # the most used so far; numbers of threads that cannot be started end the process
 PACKAGES = ("numpy", "piqp", "scipy", "tensorboard")  # beside PyTorch
 
 

@@ -13,7 +13,7 @@ def scales(c: Limits, period: float) -> list[float]:
     largest |dh/dt| near the limit times the period:
 
     - v and its radial part change by at most a T, with a from thrust along all axes and the natural acceleration. Where
-    h is zero, sqrt(2 a_max d) changes by a_max T. The speed limit changes by nu_1 |v| T.
+      h is zero, sqrt(2 a_max d) changes by a_max T. The speed limit changes by nu_1 |v| T.
     - The end of the free flight moves by T_f a T.
     - The directions to Sun and Earth turn by |omega| T. In addition the surface heats up and the battery discharges.
     - omega_i^2 changes by 2 omega_max alpha_max T, and by at most omega_max^2, from its limit to zero.

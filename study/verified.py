@@ -37,7 +37,7 @@ EPISODES = 1000  # at least
 DURATION = 2000  # s, of each episode, at least
 PAGE = "docs/guides/changed_constants.md"
 CHECK = "docs/reference/filter.md"
-REPORTS = "runs/verification"  # a person's own reports, below the working directory; shipped ones: runs/reference
+REPORTS = "runs/verification"  # a person's own, below the working directory; shipped ones: runs/reference
 
 
 def gains_of() -> str:
@@ -214,7 +214,7 @@ def verified(same: list[Flown]) -> bool:
 
 
 def difference(config: Config, flown: list[Flown]) -> str:
-    """Returns the first setting that differs from the closest verified configuration, both values, and a count of others."""
+    """Returns the first difference from the closest verified configuration, with both values, and how many others."""
     ours = relevant(config)
 
     def names(other: Flown) -> list[str]:

@@ -32,7 +32,7 @@ def to_onnx(policy: Policy, c: InspectionParameters, chief: ChiefParameters) -> 
     weights, nodes = [], []
     for i, layer in enumerate(layers):
         last = i == len(layers) - 1
-        columns = slice(CONTROL_SIZE if last else None)  # the other columns of the last layer give the log-std
+        columns = slice(CONTROL_SIZE if last else None)  # the last layer's others give the log-std
         for name, value in (("weight", layer.weight[0, :, columns]), ("bias", layer.bias[0, 0, columns])):
             weights.append(numpy_helper.from_array(value.detach().cpu().numpy(), f"{name}_{i}"))
         inputs = "observation" if i == 0 else f"hidden_{i}"

@@ -109,7 +109,7 @@ class Recording(Observer):
                 "control_desired": self.decision,
                 "control_applied": self.last.applied[:, 0].clone(),
                 "inspected_score": env.sight.score()[:1].clone(),
-                "inspected": env.sight.inspected[:, 0].clone(),  # copied, because the next inspection changes it
+                "inspected": env.sight.inspected[:, 0].clone(),  # the next inspection changes it
                 "intervened": x.new_zeros(2, dtype=torch.bool),
             }
         )
@@ -149,9 +149,9 @@ def simulate(
 
     Returns:
         Arrays by name over time, the initial state first. `control_applied` is the control from the row's time on, in
-        the last row the control until then. `inspected` is (rows, points) bool. `intervened` is (rows, 2) bool: a call of
-        the filter between this row and the next changed thrust, torque. `chief_attitude` (rows, 4) is included if the
-        chief is not the paper's, and `clearance` (rows,) in m if its hull is the keep-out zone.
+        the last row the control until then. `inspected` is (rows, points) bool. `intervened` is (rows, 2) bool: a call
+        of the filter between this row and the next changed thrust, torque. `chief_attitude` (rows, 4) is included if
+        the chief is not the paper's, and `clearance` (rows,) in m if its hull is the keep-out zone.
         Not over time are `parameters`, the task's table of a configuration file, and for a chief that is not the
         paper's `chief_points`, `chief_normals` (N, 3) and `chief_triangles` (F, 3, 3) in its own frame.
     """

@@ -52,7 +52,7 @@ def read_state(path: str, c: Limits) -> tuple[Tensor, Tensor | None]:
     """Reads a state file: state (16, 1) and priority unit vector (3, 1), None where the file has none.
 
     Raises:
-        InputError: the file is unreadable, not JSON, has unknown or missing keys or wrong shapes, or see `check_states`.
+        InputError: the file is unreadable, not JSON, or has wrong keys or shapes, or see `check_states`.
     """
     content = files.read_json(path, "state file")
     if unknown := content.keys() - STATE_FIELDS.keys() - {"priority_vector"}:
@@ -73,7 +73,7 @@ def read_state(path: str, c: Limits) -> tuple[Tensor, Tensor | None]:
 
 
 def numbers(value: Any, length: int, where: str) -> Tensor:
-    """Returns a finite number or a list of `length` finite numbers as (length,) float64; raises InputError if neither."""
+    """Returns a finite number or a list of `length` finite numbers as (length,) float64; else raises InputError."""
     items = value if isinstance(value, list) else [value]
     fine = isinstance(value, list) == (length > 1) and len(items) == length
     if not fine or not all(isinstance(i, (int, float)) and not isinstance(i, bool) for i in items):

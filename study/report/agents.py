@@ -71,7 +71,7 @@ def load_arm(directory: Path, results: Results, device: str | None) -> Arm:
 
 
 def stacked(config: Config, policies: Sequence[Policy]) -> Policy:
-    """Returns one policy with the seeds of several, one policy after another; all must have the configuration's shape."""
+    """Returns one policy with the seeds of several, one after another; all must have the configuration's shape."""
     weights = [policy.state_dict() for policy in policies]
     together = make_policy(config, [torch.Generator() for policy in policies for _ in range(policy.seeds)])
     together.load_state_dict({name: torch.cat([own[name] for own in weights]) for name in weights[0]})

@@ -38,7 +38,7 @@ def compute(study: Path, device: str | None = None) -> None:
         begin(directory, {name: arm.digests for name, arm in arms.items()} | {"guidance": guided_by()}, todo)
         for name, (what, make) in todo.items():
             if not (directory / name).exists():
-                print(f"{directory / name}: {what} ...", flush=True)  # a whole line, since progress bars may follow
+                print(f"{directory / name}: {what} ...", flush=True)  # a whole line, since bars may follow
                 started = time.perf_counter()
                 WRITE[Path(name).suffix](directory / name, make())
                 print(f"{directory / name}: {time.perf_counter() - started:.0f} s", flush=True)

@@ -122,7 +122,7 @@ def save(figure: Figure, stem: Path) -> None:
 
 
 def training_panel(ax: Axes, curves: dict[str, np.ndarray], metric: str, arms: Iterable[str]) -> None:
-    """Draws for each arm the IQM with its 95 % band over the interactions of each seed, and the paper's value dotted."""
+    """Draws by arm the IQM with its 95 % band over the interactions of each seed, and the paper's value dotted."""
     paper = TRAINING[metric]
     for arm, rows in curves.items():
         interactions, iqm, low, high = rows[rows[:, 0].argsort()].T

@@ -130,7 +130,7 @@ def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:
 
 
 def side_by_side(arms: dict[str, Arm]) -> list[list[str]]:
-    """Returns names of arms in groups whose agents can fly in one environment, since the settings it needs are equal."""
+    """Returns names of arms in groups whose agents can fly in one environment, since their settings agree."""
     groups: list[tuple[tuple[Any, ...], list[str]]] = []
     for name, arm in arms.items():
         config = with_rta(arm.config, True, FILTER_PERIOD).with_solver("auto")
@@ -168,7 +168,7 @@ def in_world(arms: Sequence[Arm], plant: str, rta: bool, uncertainty: Uncertaint
 
 
 def in_short(record: Episodes, config: Config, seeds: int) -> Results:
-    """Returns `report` with the reward of each seed, and without the configuration, which would be repeated many times."""
+    """Returns `report` with the reward of each seed, and without the configuration, which would be repeated often."""
     rewards = record.metrics[METRICS.index("reward")].unflatten(0, (seeds, -1)).cpu().numpy()
     results = report(record, config, TEST_CASES, seeds)
     del results["config"]
@@ -196,7 +196,7 @@ def arm_progress(arm: Arm) -> dict[str, list[float]]:
 
 
 class Weights(Observer):
-    """Keeps the inspected weight of every episode at the start and after each action; ended episodes keep their last."""
+    """Keeps every episode's inspected weight at the start and after each action; ended episodes keep their last."""
 
     def begin(self, env: InspectionEnv, limits: Limits) -> None:
         self.weights = [env.sight.score()]
@@ -207,7 +207,7 @@ class Weights(Observer):
 
 
 def weights_over_time(env: InspectionEnv, controller: Controller, starts: Starts) -> dict[str, list[float]]:
-    """Returns `time_s` and the inspected `weight` at this time, mean of the middle half; ended episodes keep their last."""
+    """Returns `time_s` and the inspected `weight` then, mean of the middle half; ended episodes keep their last."""
     flown, every = Weights(), env.c.action_period
     fly(env, controller, starts, observers=[flown])
     count = round(PROGRESS_UNTIL / every) + 1
@@ -225,7 +225,7 @@ def episode(arm: Arm) -> Arrays:
 
 
 def worst_success(path: Path) -> tuple[int, int] | None:
-    """Returns seed's place and case of the success that violates limits for the largest share of its time; None: none."""
+    """Returns seed's place and case of the success that violates limits for the largest share of its time, if any."""
     names = "outcome", "outcome_names", "violation_seconds"
     episodes = load_arrays(path, names, "episodes of an arm", "")
     with as_input_error(f"{path}: not the episodes of an arm", *MALFORMED):

@@ -27,7 +27,7 @@ class Inputs:
         provenance: machine of the training, with `device`, `ranks` and `threads`.
         front: by name, the guidance with the filter; empty if it has not been flown.
         worlds: by plant, arm and filter (off, nominal, robust): the agents in other plants; empty if they have not been
-        flown there.
+            flown there.
         progress: by arm, and "guidance": time_s and the inspected weight at this time, mean of the middle half.
         sunlight: the earliest success that the Sun allows in the test cases; empty if it is not known.
         cross: by arm, then "off" and "on": its agents without and with the filter.

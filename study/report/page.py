@@ -24,7 +24,7 @@ from study.report.tables import of_seeds, over_seeds, throughput
 from study.web import replay
 from study.web.template import render
 
-REPLAYED_ROWS = 400  # of an episode, about one per action; more would not matter, three.js is most of the page
+REPLAYED_ROWS = 400  # of an episode, about one per action; three.js is most of the page
 MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 PAPER = PAPER_METRICS | PAPER_VIOLATIONS
 DIGITS = {name: paper.digits for name, paper in PAPER.items()} | {"success": 1}
@@ -81,7 +81,7 @@ def fixed(value: float, digits: int) -> str:
 
 
 def percent(value: float, digits: int = 3) -> str:
-    """Returns a percentage with three digits, as in the paper's Table 3; "< 0.001" if a positive one would look like 0."""
+    """Returns a percentage with three digits, as the paper's Table 3; "< 0.001" if a positive one would look like 0."""
     text = fixed(value, digits)
     return f"< {fixed(10**-digits, digits)}" if value > 0.0 and float(text) == 0.0 else text
 

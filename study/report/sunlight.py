@@ -24,7 +24,7 @@ def earliest_success(
     target: ChiefParameters | None = None,
     number: Tensor | None = None,
 ) -> Tensor:
-    """Returns the time in s when the points lit so far first weigh enough for success; infinite if not until the timeout.
+    """Returns the time in s when the points lit so far first weigh enough for success; infinite after the timeout.
 
     Args:
         theta_s: (B,) the Sun's angle at the start; priority: (3, B).

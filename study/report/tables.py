@@ -73,7 +73,7 @@ def columns_of(name: str, number: Estimate) -> Row:
 
 
 def comparison(kind: str, published: dict[str, Published], columns: dict[str, Results]) -> list[Row]:
-    """Returns Table 2 or 3, a row per metric or constraint: ours and, for arms, the paper's and ours minus the paper's."""
+    """Returns Table 2 or 3, a row per metric or constraint: ours and, for arms, the paper's and the difference."""
     rows = []
     for key, paper in published.items():
         row: Row = {kind: key, "label": paper.label}
@@ -129,8 +129,8 @@ def of_seeds(results: Results, metric: str) -> list[float]:
 def over_seeds(results: Results, metric: str) -> tuple[float, float]:
     """Returns Student's 95 % interval of the mean of the seeds' IQMs; NaN for a single seed.
 
-    The stratified bootstrap draws seeds anew for every case, so that differences between whole seeds average out. In this
-    interval they do not.
+    The stratified bootstrap draws seeds anew for every case, so that differences between whole seeds average out. Here
+    they do not.
     """
     values = of_seeds(results, metric)
     if len(values) < 2:

@@ -17,9 +17,9 @@ WEIGHT = 1e-3  # with the default discount of 0.999, the discounted sum is a mea
 class Adversary:
     """Wraps an `InspectionEnv` with another reward.
 
-    Let h be the smallest value of the attacked constraints at the true state after the step, in filter calls to the limit
-    (`scales`). The reward is -WEIGHT asinh(h). asinh has a slope everywhere, like h near the limit and like log(h) far
-    from it, and rewards larger violations more. The agent comes as close as it can, and stays.
+    Let h be the smallest value of the attacked constraints at the true state after the step, in filter calls to the
+    limit (`scales`). The reward is -WEIGHT asinh(h). asinh has a slope everywhere, like h near the limit and like
+    log(h) far from it, and rewards larger violations more. The agent comes as close as it can, and stays.
 
     Episodes end as in the task, but the learner continues with the value of the last state, so that ending an episode
     neither gains nor saves reward.

@@ -104,7 +104,7 @@ class Log:
     def evaluation(
         self, record: Episodes, reports: Sequence[dict[str, Any]], interactions: int, seconds: float
     ) -> None:
-        """Shows the episodes of a periodic evaluation; adds a line per seed to evaluations.jsonl, with every case's metrics.
+        """Shows the episodes of a periodic evaluation; writes a line per seed with all metrics to evaluations.jsonl.
 
         Args:
             record: episodes of all seeds; reports: one per seed; seconds: wall-clock s of training so far.
@@ -131,7 +131,7 @@ class Log:
             whole = [line for line in lines if line.endswith("\n")]
             with as_input_error(f"{self.evaluations}: not the evaluations of a run", *MALFORMED):
                 kept = [line for line in whole if as_object(line)["interactions"] <= interactions]
-            kept = kept[: len(kept) // self.seeds * self.seeds]  # an evaluation has lines of all seeds, or is dropped
+            kept = kept[: len(kept) // self.seeds * self.seeds]  # lines of all seeds, or of none
             if kept != lines:
                 write_text(self.evaluations, "".join(kept))
 
