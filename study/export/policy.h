@@ -31,8 +31,8 @@ void policy_look(struct policy_clusters *clusters, const bool wanted[POLICY_POIN
 
 /* Computes the agent's observation in a state.
  * `priority`: the direction around which the chief's points weigh most. `uninspected`: `direction` of policy_look. Both
- * are in Hill's frame. `score`: weight of the points inspected so far, of 1. `chief`: its attitude, a quaternion from its
- * frame to Hill's, and its rate in its frame in rad/s; it is read only if POLICY_OBSERVES_CHIEF is 1.
+ * are in Hill's frame. `score`: weight of the points inspected so far, of 1. `chief`: its attitude, a quaternion from
+ * its frame to Hill's, and its rate in its frame in rad/s; it is read only if POLICY_OBSERVES_CHIEF is 1.
  */
 void policy_observe(const double state[16], const double priority[3], const double uninspected[3],
                     const double score[1], const double chief[7], double observation[POLICY_OBSERVATIONS]);
