@@ -44,7 +44,7 @@ THREADS = "TEST_THREADS"  # of each process of tests, one unless this variable s
 
 
 def environment(setting: str) -> dict[str, str]:
-    """The variables of a process that computes under a setting; its threads do not wait for each other by spinning."""
+    """Returns the variables of a process that computes under a setting; its threads do not spin while they wait."""
     names = "MKL_CBWR", "ATEN_CPU_CAPABILITY", THREADS
     own = dict(zip(names, setting.split("/"), strict=True)) | {"OMP_WAIT_POLICY": "passive"}
     return {name: value for name, value in (os.environ | own).items() if value != "unset"}

@@ -30,7 +30,7 @@ def make(c, num_envs=1, seeds=(0,), safety=None):
 
 
 def idle(batch):
-    """States at rest 60 m ahead of the chief, an equilibrium; n_x looks away and the panels are lit."""
+    """Returns states at rest 60 m ahead of the chief, an equilibrium; n_x looks away and the panels are lit."""
     x = torch.zeros(16, batch, dtype=torch.float64)
     x[1], x[9], x[T], x[E], x[THETA_S] = 60.0, 1.0, 5.0, 6.0, math.pi
     priority = torch.zeros(3, batch, dtype=torch.float64)
@@ -65,7 +65,7 @@ def coast(env, steps=1):
 
 
 def play(env, actions):
-    """What steps with the actions (steps, B, 6) return, by name and with the batch last, one dict per step."""
+    """Returns the results of steps with actions (steps, B, 6), by name and with the batch last, one dict per step."""
     names, history = ("state", "reward", "done", "outcome", "metrics"), []
     for action in actions:
         step = env.step(action)

@@ -37,7 +37,7 @@ CORNER = torch.tensor([-1.0, 1.0, -1.0], dtype=torch.float64)
 
 
 def near_and_beyond(count: int, seed: int) -> tuple[Tensor, Tensor]:
-    """States (16, count), half of them in flight, half beyond several limits, and desired controls (6, count)."""
+    """Returns states (16, count), half in flight and half beyond several limits, and desired controls (6, count)."""
     generator = torch.Generator().manual_seed(seed)
 
     def uniform(low: float, high: float, *shape: int) -> Tensor:
@@ -61,7 +61,7 @@ def near_and_beyond(count: int, seed: int) -> tuple[Tensor, Tensor]:
 
 
 def kept(way: str, safety: SafetyFilter, x: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
-    """(B,) bool: controls (6, B) satisfy each condition, but for rounding, in its unit by PIQP, else per length.
+    """Tells where (B,) controls (6, B) satisfy all conditions up to rounding, in their unit by PIQP, else per length.
 
     First all conditions, then those that are solved for: PIQP's all, else those that a control changes.
     """

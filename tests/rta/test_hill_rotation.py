@@ -27,7 +27,7 @@ DT = 0.02  # s
 
 
 def later(x: Tensor, seconds: float) -> Tensor:
-    """States (16, B) with the body turned in an inertial frame; all else by the model."""
+    """Returns states (16, B) with the body turned in an inertial frame; all else by the model."""
     after = step(x, torch.zeros_like(x[:CONTROL_SIZE]), seconds, C)
     sun = Rotation.from_euler("z", (after[THETA_S] - x[THETA_S])[:, None])
     turned = sun * Rotation.from_quat(x[Q].T) * Rotation.from_rotvec(seconds * x[OMEGA].T)

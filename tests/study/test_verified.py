@@ -20,7 +20,7 @@ FAST = {"inspection": {"max_rate": 0.3}}
 
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working directory without reports of its own."""
+    """Returns a working directory without reports of its own."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -30,7 +30,7 @@ def configured(tables: dict[str, Any]) -> Config:
 
 
 def put(config: Config, policy: str, **more: Any) -> None:
-    """A report of a person's own."""
+    """Writes a report of a person's own."""
     campaign = Campaign(policy, 1.0, 2000, 0, 1024)
     Path("runs/verification").mkdir(parents=True, exist_ok=True)
     report = empty_report(campaign, config) | {"episodes": 1000} | more

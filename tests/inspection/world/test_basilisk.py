@@ -122,7 +122,7 @@ def attracted(_: float, s: np.ndarray) -> np.ndarray:
 
 
 def flattened(_: float, s: np.ndarray) -> np.ndarray:
-    """Gravity of an Earth with J2 (Vallado 2013, Eq. 8-27)."""
+    """Returns gravity of an Earth with J2 (Vallado 2013, Eq. 8-27)."""
     r, mu = s[:3], EARTH_MU
     size = np.linalg.norm(r)
     k, z = 1.5 * EARTH_J2 * mu * EARTH_RADIUS**2 / size**5, 5 * (r[2] / size) ** 2

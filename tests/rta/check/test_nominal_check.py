@@ -39,12 +39,12 @@ def compiled(hold: float) -> SafetyFilter:
 
 
 def plain(hold: float) -> SafetyFilter:
-    """The same, not compiled."""
+    """Returns the same, not compiled."""
     return batched(SafetyFilter(C, RtaParameters(period=hold)))
 
 
 class Filters(dict[float, SafetyFilter]):
-    """By hold, each compiled when it is first asked for."""
+    """Holds filters by hold, each compiled when it is first used."""
 
     def __missing__(self, hold: float) -> SafetyFilter:
         self[hold] = compiled(hold)
@@ -57,14 +57,14 @@ def filters() -> dict[float, SafetyFilter]:
 
 
 def demands(count: int, seed: int) -> Tensor:
-    """(6, count) from none to twice the actuators' limits."""
+    """Returns desired controls (6, count) from none to twice the actuators' limits."""
     generator = torch.Generator().manual_seed(seed)
     u = 4 * torch.rand(CONTROL_SIZE, count, generator=generator, dtype=torch.float64) - 2
     return LIMIT * u
 
 
 def starts(safety: SafetyFilter, count: int, seed: int) -> Tensor:
-    """(16, count) from which a backup trajectory is verified."""
+    """Returns states (16, count) from which a backup trajectory is verified."""
     x = hypercube(3 * count, seed, C)
     return x[:, safety.is_safe(x)][:, :count]
 

@@ -30,7 +30,7 @@ ATTACKED = ("passive_safety", "attitude_exclusion")
 
 @pytest.fixture(scope="module")
 def trained(small_pools: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """A run of two updates behind the filter."""
+    """Returns a run of two updates behind the filter."""
     directory = tmp_path_factory.mktemp("adversary") / "run"
     config = tiny(
         10.0, adversary=list(ATTACKED), rta=True, num_envs=8, interactions=2 * 32, minibatch_size=16

@@ -58,7 +58,7 @@ pytestmark = pytest.mark.usefixtures("small_pools")
 
 @pytest.fixture(scope="module")
 def settings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The configuration of a run of six updates, with a checkpoint after every other."""
+    """Returns the configuration of a run of six updates, with a checkpoint after every other."""
     path = tmp_path_factory.mktemp("session") / "tiny.toml"
     path.write_text(SETTINGS)
     return path
@@ -66,7 +66,7 @@ def settings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def whole(settings: Path, small_pools: None) -> Path:
-    """The directory of that run, which nothing interrupted."""
+    """Returns the directory of that run, which nothing interrupted."""
     directory = settings.parent / "whole"
     assert main.main(["train", "--config", str(settings), "--run-dir", str(directory)]) == 0
     return directory
@@ -109,7 +109,7 @@ def limits() -> Iterator[None]:
 
 
 def one_line(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    """The line of the error, which is the only one and the last."""
+    """Returns the error's line, which must be the only one and the last."""
     err = capsys.readouterr().err
     line = err.splitlines()[-1]
     assert line.startswith("error: ") and err.count("error: ") == 1 and "Traceback" not in err, err
