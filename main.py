@@ -318,7 +318,7 @@ def run_study(given: Namespace) -> None:
     ),
 )
 def run_report(given: Namespace) -> None:
-    from jinja2 import UndefinedError  # of what a damaged file lacks
+    from jinja2 import UndefinedError  # for a damaged file that lacks a value
 
     from study.machine import step
     from study.report import figures, inputs, page, tables

@@ -35,7 +35,7 @@ class InputError(ValueError):
     """Signals bad input from a person: the message says what was wrong, where, and what is allowed."""
 
 
-# what is allowed
+# allowed values
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ from study.flight.evaluation import play
 ROOT = Path(__file__).parents[1]
 FILE = Path(__file__).with_suffix(".json")
 AGENT = ROOT / "runs/reference/from_nothing/rta/seed0/policy.pt"
-SAMPLES, BLOCKS = 90, 10  # of a quantity, at least one of each row; of a row
+SAMPLES, BLOCKS = 90, 10  # samples of a quantity, at least one of each row; blocks of a row
 # By how much a quantity may move, in units of a row's largest magnitude. Other processors and versions of PyTorch round
 # otherwise. Behind each stands by how much it did on a processor with AVX-512: network, training and agent between any
 # two of MKL's kernels (MKL_CBWR unset, COMPATIBLE, AVX2, AVX512), filter and campaign from the recording to the

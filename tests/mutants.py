@@ -155,7 +155,7 @@ def mutants_of(path: str, name: str, test: str, text: str) -> list[Mutant]:
     lines = [0]
     for line in text.encode().split(b"\n"):
         lines.append(lines[-1] + len(line) + 1)
-    code = text.encode()  # of which ast counts
+    code = text.encode()  # ast counts bytes
 
     def begin(node: ast.expr) -> int:
         return lines[node.lineno - 1] + node.col_offset

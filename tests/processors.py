@@ -18,7 +18,7 @@ from pathlib import Path
 import torch
 
 ROOT = Path(__file__).parents[1]
-# what flies or trains a network, or compares one with what other code or another processor made of it
+# tests that fly or train a network, or compare its results with those of other code or another processor
 SENSITIVE = (
     "test_golden.py",
     "ppo",

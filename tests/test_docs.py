@@ -19,7 +19,7 @@ from study.config import StudyConfig
 ROOT = Path(main.__file__).parent
 COMMANDS_PAGE = "reference/commands"  # whose commands train for hours
 READERS = "README"  # whose commands print much
-EXPORT = "guides/export"  # which prints how far ONNX Runtime is from PyTorch, a matter of the processor
+EXPORT = "guides/export"  # prints ONNX Runtime's distance from PyTorch, which depends on the processor
 PAGES = sorted(
     str(page.relative_to(ROOT / "docs").with_suffix(""))
     for page in (ROOT / "docs").rglob("*.md")

@@ -240,7 +240,7 @@ def contents() -> dict[str, bytes]:
 def complaint(words: list[str]) -> str:
     """Returns what is wrong with a call's end, empty if nothing is."""
     before = contents()
-    if words[0] == "simulate":  # which may replace a run of its own that it does not read
+    if words[0] == "simulate":  # simulate may replace this run, which it does not read
         del before["r.npz"]
     out, err = io.StringIO(), io.StringIO()
     try:

@@ -23,7 +23,7 @@ def text(page: str) -> str:
     return (ROOT / page).read_text(encoding="utf-8")
 
 
-# what the words say of the results
+# statements of the pages about the results
 
 
 CAMPAIGNS = sorted(

@@ -207,7 +207,7 @@ class Run:
         for k, (seed, home) in enumerate(zip(self.seeds, self.seed_dirs, strict=True)):
             policy = {name: stacked[k : k + 1].clone() for name, stacked in state["policy"].items()}
             checkpoint.save(home / "policy.pt", {"policy": policy, "config": to_toml(self.config_of(seed))})
-        if "lessons" not in state:  # the imitation phase is over, also for a run that continues here
+        if "lessons" not in state:  # the phase is over, and the checkpoint says so
             shutil.rmtree(self.directory / LESSONS, ignore_errors=True)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:

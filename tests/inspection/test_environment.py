@@ -204,7 +204,7 @@ def test_terms_of_our_own_are_the_learners_alone(c):
     assert tuple(shaped.reward_terms) == (*REWARDS, "fuel", "duration", "rate", "correction", "drift")
     rates = (shaped.state[10:13] / c.max_rate).square().sum(0)
     assert rates[0] > 1.0
-    corrected = torch.tensor([1.0, 0.5], dtype=torch.float64)  # of two calls, which want 0.2 N and 0.45 N
+    corrected = torch.tensor([1.0, 0.5], dtype=torch.float64)  # two calls that desire 0.2 N and 0.45 N
     torch.testing.assert_close(shaped.reward_terms["rate"], -0.5 * rates)
     torch.testing.assert_close(shaped.reward_terms["correction"], -0.1 * corrected)
     near = 1.0 - distance_from_track(shaped.state, c) / 30.0
@@ -257,7 +257,7 @@ def test_a_flight_looks_at_the_end_of_every_action_period_and_leaves_the_episode
         flown.append(hold)
     assert all(at is hold.after for at, hold in zip(looked, flown[9::10], strict=True))
     assert env.x is x and env.time == 0.0
-    again = list(env.fly(lambda t, x: nothing, 30.0, env.x))  # what might be
+    again = list(env.fly(lambda t, x: nothing, 30.0, env.x))  # a prediction, which must change nothing
     assert torch.equal(again[-1].after, hold.after) and len(looked) == 3
     (later,) = list(env.fly(lambda t, x: nothing, 1.0, hold.state))
     assert torch.equal(later.after, hold.after)

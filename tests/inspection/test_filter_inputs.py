@@ -67,7 +67,7 @@ def test_what_was_held_since_the_state_is_told_though_calls_were_missed(period: 
     assert 0.2 < missed.double().mean() < 0.5
     for call, told in enumerate(correct.told):
         torch.testing.assert_close(told["sent"], by_hand(held, latency, call), rtol=0, atol=0, equal_nan=True)
-    # who took what was asked for instead of what was held would be told something else
+    # the desired controls in place of the held ones would give other numbers
     asked = torch.arange(1.0, CALLS + 1, dtype=torch.float64)[:, None, None].expand_as(held)
     assert not torch.equal(
         correct.told[-1]["sent"].nan_to_num(), by_hand(asked, latency, CALLS - 1).nan_to_num()

@@ -110,7 +110,7 @@ def test_the_camera_is_on_the_chief_as_far_as_the_battery_allows() -> None:
     assert off_chief == pytest.approx(80 - balanced / 2, abs=0.1)
     assert [*seen_from(120, 7.0)] == pytest.approx(
         (120.0, 180.0), abs=1e-4
-    )  # of the dark side nothing can be seen
+    )  # nothing of the dark side can be seen
     assert [*seen_from(60, 7.0, sun_to_camera=50)] == pytest.approx(
         (60.0, 180.0), abs=1e-4
     )  # and not past the Sun

@@ -21,8 +21,8 @@ C = InspectionParameters()
 LIMIT = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
 WAYS = ("piqp", "batched", "C")
 
-# Found by a search beyond several limits: safe separation, the only one without slack, asks for more than there is, so
-# that one corner of the box is all that is left.
+# Found by a search beyond several limits: safe separation, the only limit without slack, needs more control than there
+# is, so that only one corner of the control box is left.
 AT_A_CORNER = (
     5.961792261560334, 2.420776071811913, 10.777491537179833, -0.04067360815199077, 0.9032787149492831,
     -2.1248603609408696, -0.2905903818264934, 0.9210267934877242, 0.22055702102567587, 0.13646052961912933,

@@ -237,7 +237,7 @@ def test_a_demand_that_is_no_number_is_no_wish_and_filtered(name: str, checked: 
         nothing[group] = 0.0
         expected = f.correct(x, nothing)
         for component in (group.start, group.stop - 1):
-            for others in (nothing, u):  # what the group's other numbers are does not matter
+            for others in (nothing, u):  # the group's other numbers must not matter
                 wish = others.index_put((torch.tensor([component]),), nothing.new_tensor(math.nan))
                 answer = f.correct(x, wish)
                 assert (answer.control == expected.control).all() and answer.intervened.all()
@@ -247,7 +247,7 @@ def test_a_demand_that_is_no_number_is_no_wish_and_filtered(name: str, checked: 
 def test_what_is_demanded_is_shortened_along_its_direction() -> None:
     limit = list(C.control_limit)
     u = torch.zeros(6, 5, dtype=torch.float64)
-    u[:3, 0] = torch.tensor([0.2, -1.5, 7.0])  # of which nothing is lost
+    u[:3, 0] = torch.tensor([0.2, -1.5, 7.0])  # not shortened
     u[:3, 1] = torch.tensor([4e3, -2e3, 1e3])
     u[3, 1], u[4, 2], u[5, 2] = 4e3 * MAX_TORQUE, math.inf, -math.inf
     u[:, 3] = torch.tensor([math.nan, 1.0, 1.0, MAX_TORQUE, 0.0, 0.0])
@@ -386,7 +386,7 @@ def test_torque_within_rates_brings_no_rate_beyond_after_a_hold(hold: float) -> 
     assert (beyond <= second_order).all(), (beyond / second_order).max()
     same = found[TORQUE] == u[TORQUE]
     assert same.any(1).all() and not same.all(1).any()
-    # what is changed ends at the limit, and what is not was within it
+    # a changed torque ends at the limit, and an unchanged one was within it
     changed = ~same
     off = (omega.abs() - rate).abs()
     assert (off <= second_order.expand(3, -1))[changed].all()

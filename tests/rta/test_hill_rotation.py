@@ -50,7 +50,7 @@ def test_every_h_changes_as_its_lie_derivative_says(random_states) -> None:
     before, after = (barriers(later(x, side * DT)) for side in (-1, 1))
     np.testing.assert_allclose(rate, (after - before) / (2 * DT), rtol=2e-5, atol=2e-7)
     paper = InspectionParameters()
-    assert (rate - lie_derivative(barriers, x, drift(x, paper))[1]).abs().max() > 1e-5  # what it leaves out
+    assert (rate - lie_derivative(barriers, x, drift(x, paper))[1]).abs().max() > 1e-5  # the omitted part
 
 
 @pytest.mark.campaign

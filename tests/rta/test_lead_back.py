@@ -47,7 +47,7 @@ FILTER = SafetyFilter(C)
 PROGRAMS = SafetyFilter(C, RtaParameters(filter="paper"))  # states are drawn from the programs' own safe set
 FREE = dataclasses.replace(C, saturate_rates=False)
 COUNT = 100
-SEED = 9  # of the first kind's states, one more for each other: among the last kind's are conflicts
+SEED = 9  # of the first kind's states, plus one for each later kind; the last kind has conflicts
 COLUMNS = 2 * COUNT  # all with zero control desired, half of them with random and half with adversarial ones
 ROUNDING = 1e-9
 ORIENTATION = slice(7, 10)

@@ -159,7 +159,7 @@ def test_what_must_hold_is_kept_where_what_has_slack_conflicts() -> None:
     x[3:6] = x[10:13] = 0.0
     for program in (FastProgram(C, away), PaperFilter(C, away)):
         a, b, *_ = program.evaluated(x)
-        b[0] = b[0].maximum(-0.9 * (a[0].abs() * LIMIT).sum(0))  # no more than there is
+        b[0] = b[0].maximum(-0.9 * (a[0].abs() * LIMIT).sum(0))  # needs at most 90 % of the control
         rows = a, b, b, program.values(x)
         program.evaluated = lambda x, rows=rows: rows  # type: ignore[method-assign,misc]
         found = program.correct(x, torch.zeros(6, 50, dtype=torch.float64))

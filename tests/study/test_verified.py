@@ -62,7 +62,7 @@ def test_the_shipped_reports_hold_the_fingerprint_of_their_rules(path: Path) -> 
                 "initial_radius": [60.0, 200.0],
             }
         },
-        {"plant": {"noise_bound": 2.0, "missed_in_a_row": 1}},  # of what there is not
+        {"plant": {"noise_bound": 2.0, "missed_in_a_row": 1}},  # of effects that are not there
     ],
 )
 def test_what_changes_neither_plant_nor_filter_is_silent(tables: dict[str, Any]) -> None:

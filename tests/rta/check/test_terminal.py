@@ -205,7 +205,7 @@ def test_where_the_laws_stay_nowhere_there_is_no_set() -> None:
     for other, match in (
         (replace(C, inertia=(50.0, 50.0, 50.0)), "rest"),  # torque does not suffice
         (replace(C, max_temperature=-200.0), "rest"),  # radiates less than the Earth gives
-        (replace(C, power_draw=80.0), "rest"),  # no light charges it
+        (replace(C, power_draw=80.0), "rest"),  # no light can charge the battery
     ):
         with pytest.raises(NoCheckError, match=match):
             cone(replace(pointing, c=other), *form)

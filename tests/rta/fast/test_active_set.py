@@ -139,7 +139,7 @@ def test_random_programs_satisfy_kkt(rows: int) -> None:
     assert (np.abs(control) <= 1.0).all()
     can = feasible(programs.a, programs.b)
     unsolved = status == Status.UNSOLVED
-    # what must hold is alone in its program: it is infeasible on its own or not at all
+    # only the first row must hold, so a program is unsolved exactly if this row alone is infeasible
     assert (unsolved == ~feasible(programs.a[:, :1], programs.b[:, :1])).all() and unsolved.mean() < 0.01
     assert (status[~unsolved] == np.where(can, Status.HARD, Status.SLACK)[~unsolved]).all()
     assert (status == Status.SLACK).sum() >= 300

@@ -190,11 +190,11 @@ def test_a_state_that_is_too_old_is_unsolved_and_never_verified(
     result = safety.correct(x, u, younger)
     assert ((result.status == Status.UNSOLVED) == ~younger[0, 0].isnan()).all()
     assert result.verified[10::2].any()
-    for correct in (safety.correct, driver.batch.correct):  # what was sent to others makes no difference
+    for correct in (safety.correct, driver.batch.correct):  # controls sent to other columns must not matter
         whole, alone = correct(x, u, younger), correct(x, u, younger[1:])
         assert torch.equal(whole.control[:, ::2], alone.control[:, ::2])
         assert torch.equal(whole.verified[::2], alone.verified[::2])
-    assert_same(driver, x, u)  # of no age
+    assert_same(driver, x, u)  # states without age
     assert_same(driver, x, u, torch.full_like(u[None], torch.nan))
 
 

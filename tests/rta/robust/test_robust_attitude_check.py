@@ -184,7 +184,7 @@ def test_what_the_law_first_answers_is_off_by_no_more_than_is_counted(latency: i
     turned = 2 * (seen[Q] * true[-1][Q]).sum(0).abs().clamp(max=1.0).arccos()
     assert (off <= rate + late + ROUNDED).all()
     assert (turned <= math.sqrt(3) * angle + late_angle + 1e-7).all()
-    own = w.share * start.command * w.lag  # what the torque of the hold takes the rate astray by
+    own = w.share * start.command * w.lag  # rate error from the torque of the hold
     assert (off > own + ROUNDED).any() == (held < latency)
     counted, without = (
         torch.stack(followed(each, w).errors) for each in (start, start._replace(late=0 * start.late))

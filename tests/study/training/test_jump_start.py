@@ -183,7 +183,7 @@ def test_a_run_that_ends_in_its_lessons_goes_on_as_if_it_had_not(
             run.train()
     (tmp_path / "run" / "lessons" / f"{after + 1}.pt").write_bytes(
         b"half a lesso"
-    )  # whose checkpoint never came
+    )  # its checkpoint was never written
     assert run.interactions == after * 512
     other = continued(whole, tmp_path / "run")
     assert_same(whole, other)

@@ -77,7 +77,7 @@ def test_an_update_is_shown_for_all_and_for_each_seed(tmp_path: Path) -> None:
         expected = "success 100 %, reward 3.00, dv 3.0 m/s, violation 3.0 %"
         assert log.bar.postfix == expected
         seconds = {"time/rollout_s": 1.0, "time/learning_s": 1.0}
-        log.update([(dict(seconds), quiet())], 2 * BATCH)  # no episode ended: the bar keeps what it shows
+        log.update([(dict(seconds), quiet())], 2 * BATCH)  # no episode ended: the bar keeps its text
         assert log.bar.postfix == expected
         log.update([(seconds | {LESSON: 1.0}, quiet())], 2 * BATCH)
         assert log.bar.postfix == "learning from the guidance"

@@ -191,7 +191,7 @@ def test_a_live_run_is_nobody_elses_until_a_kill_in_the_midst_of_a_save(
     run = tmp_path / "run"
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     job = subprocess.Popen([sys.executable, "-c", JOB, str(settings), str(run)], cwd=ROOT, text=True, **pipes)
-    for _ in range(3):  # what is trained, and what is to come
+    for _ in range(3):  # the lines about the run and its plan
         job.stdout.readline()
     child = int(job.stdout.readline())
     try:
@@ -227,7 +227,7 @@ def test_an_interrupt_before_the_first_checkpoint_hinders_nobody(
         patch.setattr(training.Run, moment, interrupted)
         assert main.main(arguments) == 130
     assert capsys.readouterr().err == "interrupted\n"
-    assert (tmp_path / "run").exists() == (moment == "save")  # what can be refused leaves nothing
+    assert (tmp_path / "run").exists() == (moment == "save")  # before `save` nothing is written
     assert main.main([*arguments, "--interactions", "1"]) == 0
 
 

@@ -49,7 +49,7 @@ def test_adversary_descends_the_row_that_zero_control_comes_closest_to_breaking(
     a, b, *_ = safety.program.evaluated(tensor(x))
     worst = (b[:7] / a[:7, :3].norm(dim=1)).argmin(0).numpy()
     seen = 0
-    for row in (0, 1, 2, 4, 5, 6):  # whose slopes differences find
+    for row in (0, 1, 2, 4, 5, 6):  # rows whose slopes can be found by differences
 
         def h(y: ndarray, row: int = row) -> ndarray:
             return paper(y)[row]

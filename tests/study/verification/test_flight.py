@@ -23,7 +23,7 @@ from tests.study.verification.flown import flown
 from tests.support.flights import FILTER, LIMIT, fly
 
 C = InspectionParameters()
-SECONDS, DECIDE = 24, 2  # of an episode, and between two decisions
+SECONDS, DECIDE = 24, 2  # s of an episode, and between two decisions
 
 
 @functools.cache

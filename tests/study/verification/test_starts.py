@@ -116,4 +116,4 @@ def test_rejection_leaves_starts_near_every_limit(start: tuple[ndarray, ndarray]
 def test_starts_of_a_filter_that_knows_a_way_are_the_states_that_have_one() -> None:
     x, _, left_out = safe_set(300, 0, FILTER)
     assert FILTER.is_safe(x).all() and (FILTER.values(x) >= 0.0).all()
-    assert 0 < left_out < 60  # that keep every limit, and have none
+    assert 0 < left_out < 60  # states within all limits without a backup trajectory

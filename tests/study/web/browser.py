@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-NAMES = {  # of vocabularies and in comments, which nothing is asked for
+NAMES = {  # names of vocabularies and in comments, which are never requested
     "http://www.w3.org/1999/xhtml",
     "http://www.w3.org/2000/svg",
     "https://threejs.org",

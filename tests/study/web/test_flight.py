@@ -114,7 +114,7 @@ def test_the_filter_answers_as_in_python(
     np.testing.assert_array_equal(result.verified, verified)
     np.testing.assert_array_equal(result.backup, backup)
     np.testing.assert_array_equal(result.active, columns(calls, "active"))
-    given = ~torch.tensor([call["missed"] for call in calls])  # what else was answered is not
+    given = ~torch.tensor([call["missed"] for call in calls])  # the other calls were missed
     apart = ((columns(calls, "control") - result.control).T.numpy() / LIMIT)[given].T
     assert apart.shape[1] > 100 and np.abs(apart[TORQUE]).max() < 1e-8
     # the browser's sine and cosine have other last digits, which rows through ten seconds may multiply
