@@ -35,16 +35,16 @@ from study.config import EVALUATED, TEST_CASES, Config, StudyConfig
 from study.errors import MALFORMED, ExportError, ReflyError, Stopped, as_input_error
 from study.files import check_writable, read_json, write_json, write_npz, writing
 
-if TYPE_CHECKING:  # help and refusals do not wait for PyTorch, which the commands import
+if TYPE_CHECKING:  # help and bad usage do not wait for PyTorch; only commands import it
     from ppo.network import Policy
 
 COMMANDS: dict[str, Callable[[Namespace], None]] = {}
-DECLARED: dict[str, Callable[[Any], None]] = {}  # what adds each command to the parser
+DECLARED: dict[str, Callable[[Any], None]] = {}  # functions that add each command to the parser
 
-# What may be taken off with `rm -r` (docs/reference/layout.md).
+# Packages that may be removed with `rm -r` (docs/reference/layout.md).
 WINGS = ("rta.robust", "rta.fast", "kernels", "study.web", "study.export", "interfaces", "experiments")
 
-# Names of flags beside --table.key, which every setting has; what is changed most often comes first.
+# Short names of flags; every setting also has --table.key. Settings that are changed most often come first.
 SHORT = {
     "--rta": "train.rta",
     "--rta-filter": "rta.filter",
@@ -71,11 +71,11 @@ SHORT = {
     "--qp-solver": "rta.qp_solver",
     "--solar-panel-axis": "inspection.solar_panel_axis",
 }
-# Which settings the commands' flags reach: tables, or single ones.
+# Settings that the commands' flags can set: tables, or single settings.
 FILTER = ("inspection", "chief", "rta", "uncertainty")
 MACHINE = ("train.device", "train.compile")
 FLOWN = (*FILTER, "plant", *MACHINE)
-CHOSEN_ANEW = ("rta.qp_solver",)  # whatever an agent was trained with
+CHOSEN_ANEW = ("rta.qp_solver",)  # not taken from an agent's training
 TRAINED = (*FILTER, "plant", "train", "ppo")
 
 
@@ -87,13 +87,13 @@ def command(
     one_of: Collection[Any] = (),
     of_agent: bool = False,
 ) -> Any:
-    """Makes a function a command of the same name, less "run_".
+    """Makes a function a command of the same name without "run_".
 
     Args:
-        about: its line in --help; example: the words of a call.
-        flags: see `flag`; one_of: of these exactly one must be given.
-        settings: tables, or settings as "table.key", that flags can set, too.
-        of_agent: an agent's own settings come before the defaults of these.
+        about: the command's line in --help; example: the words of a call.
+        flags: see `flag`; one_of: flags, exactly one of which must be given.
+        settings: tables, or settings as "table.key", that flags can also set.
+        of_agent: an agent's own settings replace the defaults of these settings.
     """
 
     def declare(function: Callable[[Namespace], None]) -> Callable[[Namespace], None]:
@@ -126,14 +126,14 @@ def command(
 
 
 def name(text: str) -> str:
-    """Returns the name of a file or a directory; an empty one is a mistake, as of a variable that is not set."""
+    """Returns the name of a file or directory; refuses an empty name, which an unset shell variable may give."""
     if not text:
         raise ArgumentTypeError("an empty name")
     return text
 
 
 def flag(*names: str, **options: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
-    """Returns the arguments of `add_argument`; the help goes on with the default, if there is one."""
+    """Returns the arguments of `add_argument`; the help ends with the default, if there is one."""
     if options.get("default") is not None:
         default = options["default"]
         text = ("on" if default else "off") if isinstance(default, bool) else shown(default)
@@ -147,7 +147,7 @@ def file_flag(*names: str, **options: Any) -> tuple[tuple[str, ...], dict[str, A
 
 
 def to_write(suffix: str) -> Callable[[str], Path]:
-    """Returns what reads the name of a file to write, with this suffix or of something else than a file."""
+    """Returns a function that reads an output's name, which must have this suffix unless it is not a regular file."""
 
     def read(text: str) -> Path:
         if not text.endswith(suffix) and not is_written_in_place(Path(text)):
@@ -158,7 +158,7 @@ def to_write(suffix: str) -> Callable[[str], Path]:
 
 
 def check_replaced(path: Path | None, key: str) -> None:
-    """Refuses to write results over a file that has something, but no results with this key."""
+    """Raises InputError if a file has content other than results with this key, so that it is not overwritten."""
     if path and path.is_file() and not is_written_in_place(path) and path.stat().st_size:
         with suppress(InputError):
             if key in read_json(path, "results"):
@@ -197,13 +197,13 @@ def counts(text: str) -> tuple[int, ...]:
 THREADS = count(
     "--threads",
     None,
-    "processor threads (default: OMP_NUM_THREADS, else 1 for PyTorch, whose last digits depend on it, and all for "
-    "compiled functions; a run or a study that is continued keeps its own)",
+    "processor threads (default: OMP_NUM_THREADS, else 1 for PyTorch, whose last digits depend on this number, and all "
+    "for compiled functions; a continued run or study keeps its number)",
 )
 CACHE = file_flag(
     "--cache-dir",
     metavar="DIR",
-    help="directory that keeps what is compiled (default: $RTA_CACHE_DIR, or rta-inspection in the user's "
+    help="directory for compiled code (default: $RTA_CACHE_DIR, or rta-inspection in the user's "
     "cache directory)",
 )
 AGENT = file_flag("--checkpoint", metavar="F", help="the agent: policy.pt or checkpoint.pt of a run")
@@ -211,15 +211,15 @@ REPORT = flag(
     "--json",
     type=to_write(".json"),
     metavar="F",
-    help="write the report there, and continue the one it holds",
+    help="write the report to F; if F holds a report, continue it",
 )
-RESULTS = flag("--json", type=to_write(".json"), metavar="F", help="also write the results there")
+RESULTS = flag("--json", type=to_write(".json"), metavar="F", help="also write the results to F")
 
 
 def agent_and_config(given: Namespace) -> "tuple[Policy | None, Config]":
-    """Returns the agent of --checkpoint, if there is one, and the settings to fly it in, over those of its training.
+    """Returns the agent of --checkpoint, if given, and the settings of its training, changed by files and flags.
 
-    The solver is chosen anew.
+    Without an agent, the defaults are changed. The solver is not taken from the training.
     """
     from study.experiment import check_observed, load_policy
 
@@ -232,24 +232,24 @@ def agent_and_config(given: Namespace) -> "tuple[Policy | None, Config]":
 
 
 def filtered(config: Config) -> Config:
-    """Returns the configuration with the filter on, and nothing else that corrects."""
+    """Returns the configuration with the filter on and keep_clear off, so that nothing else changes controls."""
     return override(config, {"train": {"rta": True, "keep_clear": False}}, "the filter")
 
 
 @command(
-    "train an agent with or without run time assurance",
+    "train an agent with or without run time assurance (RTA, the filter)",
     "--config quickstart --run-dir runs/first",
     file_flag("--run-dir", metavar="D", help="directory to create (default: runs/<arm>__<seed>__<time>)"),
     file_flag(
         "--init-from",
         metavar="F",
-        help="start from the agent in F, policy.pt or checkpoint.pt of a run, which gives its value network, too",
+        help="start from the agent in F: policy.pt of a run, or checkpoint.pt, which also has the value network",
     ),
     file_flag(
         "--resume",
         metavar="D",
-        help="continue the run in D exactly where it stopped; with --interactions N go on to N; --final-episodes "
-        "may differ, too",
+        help="continue the run in D exactly where it stopped; only --interactions, the new total, and "
+        "--final-episodes may be changed",
     ),
     settings=TRAINED,
 )
@@ -293,7 +293,7 @@ def run_train(given: Namespace) -> None:
         "--study-dir",
         metavar="D",
         default="runs/study",
-        help="directory to create, or of the study to continue",
+        help="directory of a study, to create or to continue",
     ),
     settings=(*TRAINED, "study"),
 )
@@ -308,7 +308,7 @@ def run_study(given: Namespace) -> None:
 
 
 @command(
-    "write a finished study's results as one page, with its figures and the data behind them",
+    "write a page with a finished study's results, its figures and their data",
     "--study runs/study",
     file_flag("--study", metavar="D", required=True, help="directory of a finished study"),
     flag(
@@ -318,7 +318,7 @@ def run_study(given: Namespace) -> None:
     ),
 )
 def run_report(given: Namespace) -> None:
-    from jinja2 import UndefinedError  # of what a damaged file lacks
+    from jinja2 import UndefinedError  # for a damaged file that lacks a value
 
     from study.machine import step
     from study.report import figures, inputs, page, tables
@@ -340,10 +340,10 @@ def run_report(given: Namespace) -> None:
 
 
 @command(
-    "report an agent or a controller in the metrics of the paper's Tables 2 and 3",
+    "evaluate an agent or a controller by the metrics of the paper's Tables 2 and 3",
     "--checkpoint runs/first/policy.pt --episodes 1000",
     count("--episodes", 100, "test cases"),
-    seed(TEST_CASES, "of the test cases, of random controls and of an untrained agent"),
+    seed(TEST_CASES, "seed of the test cases, of random controls and of an untrained agent"),
     RESULTS,
     settings=("train.rta", "train.keep_clear", *FLOWN),
     one_of=(
@@ -351,9 +351,9 @@ def run_report(given: Namespace) -> None:
         flag(
             "--controller",
             choices=EVALUATED,
-            help="instead of an agent: untrained (as training begins), random or zero controls, which decide every "
-            "10 s as an agent does, or a classical guidance, which decides at every call of the filter, without "
-            f"it every second: {', '.join(GUIDANCE)}",
+            help="instead of an agent: untrained (an agent before training), random or zero controls, which decide "
+            "every 10 s as an agent does, or a classical guidance, which decides at every call of the filter, or "
+            f"without filter every second: {', '.join(GUIDANCE)}",
         ),
     ),
     of_agent=True,
@@ -375,7 +375,7 @@ def run_evaluate(given: Namespace) -> None:
 
 
 @command(
-    "simulate one spacecraft and write everything over time",
+    "simulate one spacecraft and write all quantities over time",
     "--controller quick --duration 3600 --out runs/flight.npz",
     flag(
         "--controller",
@@ -387,17 +387,17 @@ def run_evaluate(given: Namespace) -> None:
     file_flag(
         "--actions",
         metavar="F.npy",
-        help="N x 6 controls in N and N m, a row per --step, for --controller recorded; N x 25 with the corners of a "
-        "flight that play saved, where [plant] errors are worst",
+        help="controls for --controller recorded: N x 6 in N and N m, a row per --step; or N x 25, with the corners of "
+        "a flight that was saved by play, if [plant] errors are worst",
     ),
     file_flag("--initial-state", metavar="F.json", help="state file (default: drawn from --seed)"),
-    seed(TEST_CASES, "of what is drawn"),
+    seed(TEST_CASES, "seed of all random numbers"),
     seconds("--duration", None, "seconds to simulate", required=True),
     seconds(
         "--step",
         1.0,
-        "seconds between two rows of the output, two rows of --actions and two decisions of a classical controller, "
-        "which decides once per call of the filter at most, without it once per [inspection] substep; an agent, "
+        "seconds between two rows of the output, two rows of --actions and two decisions of a classical controller; "
+        "it decides at most once per call of the filter, or without filter once per [inspection] substep; an agent, "
         "trained or not, decides every 10 s",
     ),
     flag("--out", type=to_write(".npz"), required=True, metavar="F.npz", help="file to write"),
@@ -405,7 +405,7 @@ def run_evaluate(given: Namespace) -> None:
         "--figure",
         type=to_write(".png"),
         metavar="F.png",
-        help="also draw limits and controls over time there",
+        help="also draw limits and controls over time in this file",
     ),
     settings=("train.rta", "train.keep_clear", *FLOWN),
     of_agent=True,
@@ -443,7 +443,7 @@ def run_simulate(given: Namespace) -> None:
 @command(
     "write a page that plays one or two simulated runs in 3-D",
     "runs/flight.npz --out runs/flight.html",
-    flag("runs", nargs="+", metavar="RUN.npz", help="a file of simulate, or two, side by side"),
+    flag("runs", nargs="+", metavar="RUN.npz", help="one file of simulate, or two to show side by side"),
     flag("--out", type=to_write(".html"), required=True, metavar="F.html", help="page to write"),
 )
 def run_replay(given: Namespace) -> None:
@@ -456,7 +456,7 @@ def run_replay(given: Namespace) -> None:
 
 
 @command(
-    "write a page on which anybody flies the spacecraft in a browser, with the filter on or off",
+    "write a page to fly the spacecraft in a browser, with the filter on or off",
     "--out runs/play.html",
     AGENT,
     flag("--out", type=to_write(".html"), required=True, metavar="F.html", help="page to write"),
@@ -472,7 +472,7 @@ def run_play(given: Namespace) -> None:
 
 
 @command(
-    "filter a batch of states from elsewhere and write out the quadratic programs",
+    "filter the states in a file and write the controls and the quadratic programs",
     "--states states.npz --out filtered.npz",
     file_flag(
         "--states",
@@ -496,40 +496,39 @@ def run_filter(given: Namespace) -> None:
 
 
 @command(
-    "count violations behind the filter over many random episodes",
+    "count violations with the filter on over many random episodes",
     "--policy adversarial --json runs/verify.json",
     count(
         "--episodes",
         1000,
-        "in all, from starts that the filter can hold; the others met on the way are reported beside them",
+        "number of episodes, from initial states that the filter accepts; rejected states are counted separately",
     ),
     flag(
         "--policy",
         metavar="P",
         default="random",
-        help="random actions held for random times, adversarial (down the worst constraint's slope), pressing (full "
-        "control against one constraint of an episode), lookahead (the worst of many candidates, each tried in the "
-        "true plant), learned:F (drawn from an agent of train --adversary) or checkpoint:F (any agent)",
+        help="random (each action is held for a random time), adversarial (down the worst constraint's slope), "
+        "pressing (full control against one constraint per episode), lookahead (the worst of many candidates, each "
+        "simulated in the true plant), learned:F (actions drawn from an agent of train --adversary) or checkpoint:F "
+        "(any agent)",
     ),
-    count("--candidates", None, "of lookahead, per spacecraft and call of the filter (default: 24)"),
-    count(
-        "--horizon", None, "of lookahead, calls of the filter that each candidate is tried for (default: 3)"
-    ),
+    count("--candidates", None, "lookahead's candidates per spacecraft and call of the filter (default: 24)"),
+    count("--horizon", None, "calls of the filter for which lookahead simulates each candidate (default: 3)"),
     count("--duration", 2000, "whole seconds of each episode"),
     seconds("--check-every", 1.0, "seconds between two checks of all constraints"),
     flag(
         "--filter",
         choices=("python", "c"),
         default="python",
-        help="what filters: python, or c, as `export --filter` writes it",
+        help="form of the filter: python, or c, as `export --filter` writes it",
     ),
-    seed(0, "of everything random"),
+    seed(0, "seed of all random numbers"),
     REPORT,
     flag(
         "--keep-worst",
         action=BooleanOptionalAction,
         default=False,
-        help="keep the worst episode of every constraint beside --json, not only of those violated",
+        help="keep the worst episode of every constraint beside --json, not only of violated ones",
     ),
     settings=FLOWN,
     of_agent=True,
@@ -564,10 +563,10 @@ def run_verify(given: Namespace) -> None:
 
 
 @command(
-    "try single calls of the filter at states next to its limits",
+    "test single calls of the filter at states next to its limits",
     "--json runs/boundary.json",
-    count("--draws", 4096, "states next to one limit or two, in whole batches"),
-    seed(0, "of everything random"),
+    count("--draws", 4096, "number of states, next to one limit or two; rounded up to whole batches"),
+    seed(0, "seed of all random numbers"),
     REPORT,
     settings=FLOWN,
 )
@@ -581,11 +580,11 @@ def run_boundary(given: Namespace) -> None:
 
 
 @command(
-    "find the size at which each effect of [plant] breaks a limit, with and without [uncertainty], its errors at the "
-    "corners of their bounds",
+    "find the size at which each effect of [plant] leads to a violation, with and without [uncertainty]; errors are at "
+    "the corners of their bounds",
     "--json runs/break_points.json",
     count(
-        "--episodes", 96, "of each effect and size, with errors that are steady and as many with the worst"
+        "--episodes", 96, "episodes per effect and size with steady errors, and as many with the worst errors"
     ),
     flag(
         "--policy",
@@ -594,9 +593,9 @@ def run_boundary(given: Namespace) -> None:
         help="the controller, see verify",
     ),
     count("--duration", 300, "whole seconds of each episode"),
-    seed(0, "of everything random"),
+    seed(0, "seed of all random numbers"),
     REPORT,
-    flag("--figure", type=to_write(".png"), metavar="F.png", help="also draw the table there"),
+    flag("--figure", type=to_write(".png"), metavar="F.png", help="also draw the table in this file"),
     settings=(*FILTER, *MACHINE),
 )
 def run_break_points(given: Namespace) -> None:
@@ -617,7 +616,7 @@ def run_break_points(given: Namespace) -> None:
 @command(
     "fly a counter-example of verify again",
     "runs/verify.json.collision.npz",
-    file_flag("file", metavar="F.npz", help="what verify kept beside --json, with all settings"),
+    file_flag("file", metavar="F.npz", help="file that verify wrote beside --json; it holds all settings"),
 )
 def run_refly(given: Namespace) -> None:
     from study.verification.counter_examples import refly_file
@@ -632,17 +631,19 @@ def run_refly(given: Namespace) -> None:
         "--batches",
         type=counts,
         metavar="N,N,...",
-        help="episodes, spacecraft and samples at once (default: 256 to 65,536 in powers of 4)",
+        help="batch sizes: episodes, spacecraft or samples at once (default: 256 to 65,536 in powers of 4)",
     ),
     RESULTS,
-    flag("--figure", type=to_write(".png"), metavar="F.png", help="also draw rates over batches there"),
+    flag(
+        "--figure", type=to_write(".png"), metavar="F.png", help="also draw rates over batches in this file"
+    ),
     settings=(*FLOWN, "ppo"),
 )
 def run_benchmark(given: Namespace) -> None:
     from experiments import benchmark
 
     config = configured(given, Config())
-    if "train.compile" not in vars(given):  # whatever a file says
+    if "train.compile" not in vars(given):  # only a flag counts, not a file
         config = override(config, {"train": {"compile": "on"}}, "benchmark")
     check_replaced(given.json, "closed_loop_us")
     results = benchmark.benchmark(config, given.batches or benchmark.BATCHES)
@@ -655,25 +656,27 @@ def run_benchmark(given: Namespace) -> None:
 
 
 @command(
-    "write an agent as an ONNX file, checked against PyTorch, or as C with a test that does so; or the filter as C",
+    "write an agent as an ONNX file or as C, both checked against PyTorch, or write the filter as C",
     "--filter runs/filter",
     AGENT,
     flag(
         "--prefix",
         metavar="NAME",
-        help="what files, functions, types and macros of the C begin with, so that several fit into one program "
+        help="prefix of the C's files, functions, types and macros, so that several exports fit into one program "
         "(default: policy, or safety_filter)",
     ),
     settings=FILTER,
     one_of=(
         flag("--out", type=to_write(".onnx"), metavar="F.onnx", help="ONNX file to write"),
         file_flag(
-            "--c", metavar="D", help="directory to create for C99 sources, or that holds those of an agent"
+            "--c",
+            metavar="D",
+            help="directory for the agent's C99 sources, new or with those of an earlier export",
         ),
         file_flag(
             "--filter",
             metavar="D",
-            help="directory to create for the filter's C99 sources, or that holds those of a filter",
+            help="directory for the filter's C99 sources, new or with those of an earlier export",
         ),
     ),
 )
@@ -713,7 +716,7 @@ def run_export(given: Namespace) -> None:
 
 
 @command(
-    "print all settings as TOML, with unit and meaning, as defaults, files and flags set them",
+    "print all settings as TOML, with unit and meaning, after files and flags have changed the defaults",
     "--config 12u --rta-period 5",
     AGENT,
     settings=(*TRAINED, "study"),
@@ -736,7 +739,7 @@ def build_parser() -> Parser:
 
 
 def with_values(words: Collection[str]) -> list[str]:
-    """Returns the words with "--flag -x" and "--flag -0.1,2" as "--flag=-x", since argparse takes -x for a flag."""
+    """Returns the words with "--flag -x" and "--flag -0.1,2" joined by "=", because argparse takes -x for a flag."""
     joined: list[str] = []
     for word in words:
         if re.fullmatch(r"-[xyz\d.].*", word) and joined and re.fullmatch(r"--[^=]+", joined[-1]):
@@ -747,7 +750,7 @@ def with_values(words: Collection[str]) -> list[str]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Runs a command and returns the exit code; of many ranks, one speaks for all."""
+    """Runs a command and returns the exit code; with many ranks, only the first one prints."""
     os.environ["MPLBACKEND"] = (
         "agg"  # figures go to files; a shell below Jupyter may name a backend that is not here
     )
@@ -757,10 +760,10 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def outcome(words: list[str], errors: TextIO | None) -> int:
-    """Runs a command and returns the exit code; whatever bad input raises is caught here and ends in one line.
+    """Runs a command and returns the exit code; errors of bad input are caught here and end in one line.
 
     Args:
-        errors: where bad usage is said.
+        errors: stream for messages about bad usage; None: no messages.
     """
     try:
         try:
@@ -769,20 +772,20 @@ def outcome(words: list[str], errors: TextIO | None) -> int:
             run(given)
         finally:
             print(end="", flush=True)
-    except SystemExit as end:  # of the parser: help, or bad usage
+    except SystemExit as end:  # from the parser, after help or bad usage
         return int(end.code or 0)
     except (InputError, CheckpointError) as error:
         return complain(f"{error}", 2)
     except ModuleNotFoundError as error:
         return complain(f"needs the package {error.name}: python -m pip install -r requirements.txt", 2)
     except BrokenPipeError:  # the reader of our output, such as head, has left
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where Python sends the rest as it ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Python sends the rest there when it ends
         return 0
     except OSError as error:
         return complain(f"{error.filename}: {error.strerror}" if error.filename else f"{error}", 2, "end")
     except Stopped as stopped:
         print(stopped)
-        # of many ranks zero: all else torchrun calls a failure, and begins anew
+        # zero with many ranks: torchrun takes other codes for a failure, and restarts
         return 128 + stopped.number if "RANK" not in os.environ else 0
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
@@ -790,7 +793,8 @@ def outcome(words: list[str], errors: TextIO | None) -> int:
     except (ReflyError, ExportError) as error:
         return complain(f"{error}", 1)
     except RankLostError as error:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # from torchrun, which has noticed, too; we are leaving
+        # torchrun sends SIGTERM when it also notices the loss; this process ends anyway
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
         return complain(f"{error}", 1, "end")
     except NonFiniteError as error:
         return complain(f"training stopped at {error}", 1, "end")
@@ -798,7 +802,7 @@ def outcome(words: list[str], errors: TextIO | None) -> int:
 
 
 def run(given: Namespace) -> None:
-    """Calls the command of a call."""
+    """Runs the command of a parsed command line."""
     from ppo.distributed import ranks
     from study.machine import set_threads
 
@@ -823,11 +827,11 @@ def run(given: Namespace) -> None:
 
 
 def complain(reason: str, code: int, event: str = "") -> int:
-    """Says a line on stderr, of ranks with the same reason, or of the same event, one; returns the exit code."""
+    """Prints an error line on stderr, once for all ranks with the same reason or event; returns the exit code."""
     from ppo.distributed import ranks
 
     if ranks().first_to_say(event or reason):
-        unfinished = "" if ranks().first else "\n"  # the first rank's progress bar, where it ended midway
+        unfinished = "" if ranks().first else "\n"  # ends the line of the first rank's progress bar
         print(f"{unfinished}error: {in_one_line(reason)}", file=sys.stderr)
     return code
 

@@ -1,7 +1,7 @@
-"""Settings: frozen dataclasses whose fields have a unit and bounds, TOML files over them, and flags over the files.
+"""Settings: frozen dataclasses whose fields have a unit and bounds; TOML files override them, and flags the files.
 
-A table of settings is a dataclass below `Settings`, and its fields are made by `setting`. A configuration is a
-dataclass whose fields are tables.
+A table of settings is a subclass of `Settings` whose fields are made by `setting`. A configuration is a dataclass whose
+fields are tables.
 """
 
 import argparse
@@ -23,31 +23,31 @@ from typing import Any, TypeVar
 
 import tomli_w
 
-CONFIGS = Path(__file__).parent / "configs"  # those that come with the code
+CONFIGS = Path(__file__).parent / "configs"  # configurations that come with the code
 RANGE = "[low, high] with low <= high"
 KINDS = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}  # in words
-FEW = 20  # words that are read at a glance
+FEW = 20  # largest number of words that a message lists
 Value = TypeVar("Value")
 Configuration = TypeVar("Configuration")
 
 
 class InputError(ValueError):
-    """Bad input from a person: the message says what was wrong, where, and what is allowed."""
+    """Signals bad input from a person: the message says what was wrong, where, and what is allowed."""
 
 
-# what is allowed
+# allowed values
 
 
 @dataclass(frozen=True)
 class Rule:
-    """Says what a setting is and which values it may have.
+    """Describes a setting and the values that it may have.
 
     Attributes:
         about: unit and meaning, and where the value comes from unless the note says so.
         note: subject and source of this setting and the next ones, or the reason for its value.
-        above, least, below, most: bounds of a number. It is finite unless `most` is infinity.
-        among: the values that are allowed, alone or in a list.
-        ordered: it is [low, high], as is every pair that may stand in place of a single value.
+        above, least, below, most: bounds of a number. The number must be finite unless `most` is infinity.
+        among: the allowed values, alone or in a list.
+        ordered: the value is [low, high], as is every pair that may stand in place of a single value.
     """
 
     about: str
@@ -73,11 +73,11 @@ class Rule:
 
     @property
     def comment(self) -> str:
-        """Unit and meaning, with the values that are allowed."""
+        """Returns unit and meaning, with the allowed values if these are listed."""
         return f"{self.about}: {self.words(str)}" if self.among else self.about
 
     def words(self, kind: type) -> str:
-        """Says what `allows` asks for."""
+        """Returns in words which values `allows` allows."""
         if self.among:
             return joined(map(shown, self.among), "or")
         if kind in (bool, str):
@@ -95,13 +95,13 @@ class Rule:
 
 
 def setting(default: Value, about: str, **rule: Any) -> Value:
-    """Makes a field of `Settings`; the further arguments are those of `Rule`."""
+    """Makes a field of `Settings`; `rule` holds further arguments of `Rule`."""
     return field(default=default, metadata={"rule": Rule(about, **rule)})
 
 
 @dataclass(frozen=True)
 class Settings:
-    """A table of settings; raises ValueError, naming the setting and what is allowed, where a value is not."""
+    """Holds a table of settings; raises ValueError, naming the setting and what is allowed, for a value that is not."""
 
     def __post_init__(self) -> None:
         for part in fields(self):
@@ -115,7 +115,7 @@ def rules(table: type[Settings]) -> dict[str, Rule]:
 
 
 def check(part: Field, value: Any) -> None:
-    """Raises ValueError where a field of `Settings` may not have the value."""
+    """Raises ValueError if a field of `Settings` may not have the value."""
     rule, kind, form = part.metadata["rule"], part.type, ""
     if isinstance(kind, UnionType):  # a value or a range
         single, pair = typing.get_args(kind)
@@ -146,7 +146,7 @@ def check(part: Field, value: Any) -> None:
 
 
 def is_a(kind: type, item: Any) -> bool:
-    """Tells whether it is of the kind; numbers of NumPy are numbers, true and false are none."""
+    """Tells whether an item is of a kind; numbers of NumPy count as numbers, true and false do not."""
     if kind in (bool, str):
         return isinstance(item, kind)
     return isinstance(item, Integral if kind is int else Real) and not isinstance(item, bool)
@@ -164,7 +164,7 @@ def joined(words: Iterable[str], conjunction: str) -> str:
 
 
 def instead(word: str, allowed: Collection[str]) -> str:
-    """Ends a message about an unknown word: the ones nearest to it or, if none is near, all of a few."""
+    """Ends a message about an unknown word: returns the closest allowed words or, if none is close, all of a few."""
     if near := get_close_matches(word, allowed, 3, 0.7):
         return f"; did you mean {joined(near, 'or')}?"
     return f"; allowed are {', '.join(allowed)}" if len(allowed) <= FEW else ""
@@ -174,17 +174,17 @@ def instead(word: str, allowed: Collection[str]) -> str:
 
 
 def load(name: str | Path, base: Configuration) -> Configuration:
-    """Reads a TOML file, or the one of that name that comes with the code, over a base.
+    """Reads a TOML file, or the configuration of this name that comes with the code, over a base.
 
     Args:
         name: a path, or a name such as `quickstart`, `vehicles/12u` or `12u`.
 
     Raises:
-        InputError: there is neither, it is not TOML, or holds an unknown table or key or an impossible value.
+        InputError: neither exists, the text is not TOML, or it holds an unknown table or key or a value not allowed.
     """
     path = find(str(name))
     try:
-        text = path.read_text(encoding="utf-8-sig")  # without the mark that some editors put first
+        text = path.read_text(encoding="utf-8-sig")  # without the byte order mark that some editors write
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{name}: cannot read the configuration: {reason}") from None
@@ -192,7 +192,7 @@ def load(name: str | Path, base: Configuration) -> Configuration:
 
 
 def find(name: str) -> Path:
-    """Returns the file of that path or, where there is none, the configuration of that name among CONFIGS."""
+    """Returns the file of this path or, if none exists, the configuration of this name among CONFIGS."""
     if os.path.exists(name) and not os.path.isdir(name):
         return Path(name)
     paths = {path.relative_to(CONFIGS).with_suffix("").as_posix(): path for path in CONFIGS.rglob("*.toml")}
@@ -212,17 +212,17 @@ def find(name: str) -> Path:
 
 
 def from_toml(text: str, source: str, base: Configuration) -> Configuration:
-    """Reads TOML text over a base; an experiment passes over the tables that only a study has.
+    """Reads TOML text over a base; tables that only a study has are ignored for the base of an experiment.
 
     Args:
-        source: what to call the text in an error, usually the file's path.
+        source: the name of the text in an error, usually the file's path.
 
     Raises:
         InputError: see `load`.
     """
     try:
         tables = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # the first also of an integer that is too long to read
+    except (ValueError, RecursionError) as error:  # ValueError also for an integer that is too long to read
         reason = str(error).partition("; use sys.")[0]
         raise InputError(f"{source}: not valid TOML: {reason}") from None
     passed_over = {"study", "arms"} - set(vars(base))
@@ -230,7 +230,7 @@ def from_toml(text: str, source: str, base: Configuration) -> Configuration:
 
 
 def override(config: Configuration, tables: Mapping[str, Any], source: str) -> Configuration:
-    """Returns a configuration with the given tables' keys replaced, all known and checked.
+    """Returns a configuration with the given tables' keys replaced, after checking them.
 
     Raises:
         InputError: a table or key is unknown or a value is not allowed; the message begins with `source`.
@@ -273,12 +273,12 @@ def override_table(
 
 
 def table_of(key: str, tables: Mapping[str, Any]) -> str | None:
-    """Returns the first table that has such a key."""
+    """Returns the name of the first table that has this key."""
     return next((name for name, part in tables.items() if key in getattr(part, "__dict__", ())), None)
 
 
 def typed(value: Any, wanted: Any, name: str) -> Any:
-    """Returns a value of TOML as the annotated type; raises InputError where it has another."""
+    """Returns a value of TOML as the annotated type; raises InputError if the value has another type."""
     if isinstance(wanted, UnionType):
         wanted = typing.get_args(wanted)[isinstance(value, list)]
     if typing.get_origin(wanted) is tuple:
@@ -324,7 +324,7 @@ def literal(value: Any) -> str:
 
 
 class Parser(argparse.ArgumentParser):
-    """Ends bad usage in one line and exit code 2, and names what may have been meant."""
+    """Parses flags; ends bad usage with one line and exit code 2, and suggests what may have been meant."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options, allow_abbrev=False)
@@ -335,7 +335,7 @@ class Parser(argparse.ArgumentParser):
             word for word in words if word[:2] == "--" and word not in self._option_string_actions
         ]
         found, rest = super().parse_known_args(args, namespace)
-        if rest:  # here, where a command's own flags are known
+        if rest:  # checked here because a command's own flags are known here
             self.error(f"unrecognized: {' '.join(rest)}{self.meant(rest[0])}")
         return found, rest
 
@@ -351,13 +351,13 @@ class Parser(argparse.ArgumentParser):
         return instead(word.partition("=")[0], flags) if word.startswith("-") and len(flags) > FEW else ""
 
     def error(self, message: str) -> typing.NoReturn:
-        if "required" in message and self.unknown:  # perhaps one of those, mistyped
+        if "required" in message and self.unknown:  # perhaps the required flag, mistyped
             message += f"; unrecognized: {' '.join(self.unknown)}{self.meant(self.unknown[0])}"
         self.exit(2, f"error: {self.prog}: {in_one_line(message)} (see --help)\n")
 
 
 def in_one_line(text: str) -> str:
-    """Returns a message as one line, whatever the names in it hold."""
+    """Returns a message as one line of printable characters, whatever names it holds."""
     return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
 
 
@@ -371,10 +371,10 @@ def add_flags(
     """Adds --config and a flag for every setting of `reached`, such as --rta.period 5.
 
     Args:
-        config: whose settings the flags set, see `configured`.
+        config: the configuration whose settings the flags set, see `configured`.
         reached: tables, or settings as "table.key".
-        short: short names of flags, with the setting of each. Only these stand in --help, in this order.
-        chosen_anew: settings for which those of an agent do not count; None: there is no agent.
+        short: short names of flags, with the setting of each. Only these flags are listed in --help, in this order.
+        chosen_anew: settings that do not come from an agent's run; None: there is no agent.
     """
     group = parser.add_argument_group(
         "settings",
@@ -410,7 +410,7 @@ def add_flags(
 
 
 def read(kind: Any, text: str) -> Any:
-    """Returns a flag's text as TOML has the value; lists have commas, with or without brackets."""
+    """Returns a flag's text as the value that TOML would give; a list has commas, with or without brackets."""
     if isinstance(kind, UnionType):
         kind = typing.get_args(kind)["," in text]
     if typing.get_origin(kind) is tuple:
@@ -423,7 +423,7 @@ def read(kind: Any, text: str) -> Any:
 
 
 def whole(text: str) -> int:
-    """Returns an integer from its text, 100_000 or 1e5; raises ValueError where it is none."""
+    """Returns an integer from its text, such as 100_000 or 1e5; raises ValueError for other text."""
     with suppress(ValueError):
         return int(text)
     if not is_whole(number := float(text)):
@@ -432,7 +432,7 @@ def whole(text: str) -> int:
 
 
 def is_whole(number: float) -> bool:
-    """Tells whether it is an integer, and exact."""
+    """Tells whether a number is an integer of at most 2^53, and so exact."""
     return number.is_integer() and abs(number) <= 2**53
 
 
@@ -456,7 +456,7 @@ def positive_number(text: str) -> float:
 
 
 def configured(arguments: argparse.Namespace, base: Configuration) -> Configuration:
-    """Returns the base under each --config under the flags."""
+    """Returns the base, overridden by each --config in turn and then by the flags."""
     for name in arguments.config:
         base = load(name, base)
     tables: dict[str, dict[str, Any]] = {}

@@ -2,8 +2,8 @@
 
     python -m experiments.basilisk --study runs/reference/from_nothing --out runs/reference/basilisk
 
-Coasts 100 spacecraft from all over the safe set, and flies all agents of two arms through the same cases in both, each
-beside itself. Needs Basilisk (docs/guides/basilisk.md); takes half an hour.
+Coasts 100 spacecraft from all over the safe set, and flies all agents of two arms through the same cases in both
+simulators. Needs Basilisk (docs/guides/basilisk.md); takes half an hour.
 """
 
 import math
@@ -36,15 +36,15 @@ from study.machine import set_threads
 from study.report.agents import Arm, agents_of
 from study.verification.starts import safe_set
 
-SPACECRAFT, SECONDS, EVERY = 100, 1000, 20  # that coast, for so many s, compared every so many s
+SPACECRAFT, SECONDS, EVERY = 100, 1000, 20  # number that coast, s of flight, s between comparisons
 C = InspectionParameters(saturate_rates=False)
 FREE = PlantParameters(simulator="basilisk", saturate_rates=False)
-# what our model has, by what the figure calls it
+# settings of our model by the label in the figure
 MODELS: dict[str, dict[str, Any]] = {
     "as the paper": {},
     "and Hill's frame turns": {"hill_rotation": True},
 }
-# by which Basilisk differs from itself
+# effects whose influence within Basilisk is measured
 PERTURBED = {"J2": replace(FREE, j2=True), "drag": replace(FREE, drag=True)}
 ARMS = {"no_rta": "no RTA", "rta": "RTA"}
 SHOWN = {"episode_length_s": "episode length (s)", "delta_v_m_s": "delta v (m/s)"}
@@ -56,7 +56,7 @@ WORLDS = {
 
 
 def coasted(parameters: PlantParameters, x: Tensor, every: int = SECONDS) -> tuple[list[Tensor], float]:
-    """Returns the states (16, N) of free flight in Basilisk every so many s, and how many times faster it is."""
+    """Returns states (16, N) of free flight in Basilisk every `every` s, and its speed in multiples of real time."""
     count = x.shape[1]
     plant, u = BasiliskPlant(parameters, C, count, "cpu"), torch.zeros(6, count, dtype=torch.float64)
     plant.begin(torch.arange(count), x, torch.full((count,), 0.5, dtype=torch.float64))
@@ -67,7 +67,7 @@ def coasted(parameters: PlantParameters, x: Tensor, every: int = SECONDS) -> tup
 
 
 def coasting() -> dict[str, Any]:
-    """Returns, by model, the largest and the median difference from Basilisk over time, in m, deg and rad/s."""
+    """Returns the content of "coasting": by model the differences from Basilisk over time, effects, and speeds."""
     x, _, _ = safe_set(SPACECRAFT, 0, SafetyFilter(C))
     path, speed = coasted(FREE, x, EVERY)
     models = {}
@@ -90,7 +90,7 @@ def coasting() -> dict[str, Any]:
 
 
 def differences(one: Tensor, other: Tensor) -> dict[str, float]:
-    """Returns the differences of positions, attitudes and body rates of states (16, N)."""
+    """Returns the largest, and some median, differences of positions, attitudes and body rates of states (16, N)."""
     away = (one[P] - other[P]).norm(dim=0)
     turned = Rotation.from_quat(one[Q].T.numpy()).inv() * Rotation.from_quat(other[Q].T.numpy())
     angle = np.degrees(turned.magnitude())
@@ -110,7 +110,7 @@ def flown(arm: Arm, plant: PlantParameters, cases: int) -> Episodes:
 
 
 def summary(ours: Episodes, other: Episodes) -> dict[str, Any]:
-    """Returns what an arm did in a world, and how each episode differs from itself in our simulator."""
+    """Returns the results of an arm in a plant, and how its episodes differ from the same ones in our simulator."""
     apart = other.metrics - ours.metrics
     error = apart.std(dim=1) / math.sqrt(apart.shape[1])
     return {
@@ -132,14 +132,14 @@ def summary(ours: Episodes, other: Episodes) -> dict[str, Any]:
 
 
 def closed_loop(study: Path, cases: int) -> dict[str, Any]:
-    """Returns `summary` by arm and world."""
+    """Returns `summary` by arm and plant."""
     found: dict[str, Any] = {}
     arms = agents_of(study, "cpu")
     for name in ARMS:
         ours = flown(arms[name], PlantParameters(), cases)
         found[name] = {"own": summary(ours, ours)}
         for world, plant in WORLDS.items():
-            few = max(1, cases // 5) if plant.actuators == "real" else cases  # a twentieth as fast
+            few = max(1, cases // 5) if plant.actuators == "real" else cases  # 20 times slower
             beside = ours if few == cases else flown(arms[name], PlantParameters(), few)
             found[name][world] = summary(beside, flown(arms[name], plant, few))
     return found
@@ -152,7 +152,7 @@ def figure(results: dict[str, Any], path: Path) -> None:
     coasting = results["coasting"]
     for axis, kind, unit in zip(axes[0], ("position", "attitude"), ("m", "deg"), strict=True):
         lines = zip(coasting["models"].items(), (ORANGE, BLUE), (5.0, 3.0), strict=True)
-        for (name, errors), colour, width in lines:  # where one is another's, both are seen
+        for (name, errors), colour, width in lines:  # widths differ: lines may coincide
             axis.semilogy(coasting["time_s"], errors[f"{kind}_{unit}"], color=colour, lw=width, label=name)
             axis.semilogy(coasting["time_s"], errors[f"{kind}_median_{unit}"], color=colour, lw=width, ls=":")
         axis.set(xlabel="time (s)", ylabel=f"difference of {kind} ({unit})", title=f"Coasting: {kind}")

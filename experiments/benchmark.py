@@ -41,16 +41,16 @@ from study.verified import code_digest, fingerprint
 BATCHES = (256, 1024, 4096, 16384, 65536)
 TYPICAL = {"cpu": 4096, "cuda": 65536}  # the batch of the headline numbers
 REPEATS = 5  # of a measurement
-SHORTEST = 0.05  # s that a repeat lasts at least: clocks and schedulers are coarse
-EPISODES, STEPS = 256, 60  # flown to record states and controls, from a typical half of them on
+SHORTEST = 0.05  # least s of a repeat, since clocks and schedulers are coarse
+EPISODES, STEPS = 256, 60  # flown to record states and controls, of which the later half is typical
 FLOWN = 1024  # spacecraft under random demands
 WARM_CALLS, SINGLE_CALLS = 50, 1000
-SAMPLES = 16_384  # of an update, at least
-PARTS_STEPS = 10  # environment steps whose parts are timed
+SAMPLES = 16_384  # least number in an update
+PARTS_STEPS = 10  # number of environment steps whose parts are timed
 MATRIX = 1024  # rows and columns
 PARTS = ("total", "filter", "integration", "visibility and k-means", "agent", "rest")
 U1 = ROOT / "configs/plants/u1.toml"
-# Okabe and Ito's
+# Okabe and Ito's palette
 PALETTE = ("#0072B2", "#000000", "#D55E00", "#E69F00", "#CC79A7", "#009E73", "#56B4E9", "#666666", "#F0E442")
 
 Spread = dict[str, float]  # "median", "min" and "max"
@@ -61,7 +61,7 @@ Agent = Callable[[Tensor], Tensor]  # observations (B, n) to actions (B, 6)
 
 
 def seconds(function: Callable[[], Any], device: torch.device, calls: int = 1) -> float:
-    """Returns the s that so many calls take, until the device has done what it was asked."""
+    """Returns the s that `calls` calls take, until the device has finished them."""
     wait = partial(torch.cuda.synchronize, device) if device.type == "cuda" else lambda: None
     wait()
     started = time.perf_counter()
@@ -74,9 +74,9 @@ def seconds(function: Callable[[], Any], device: torch.device, calls: int = 1) -
 def in_turn(
     functions: Mapping[str, Callable[[], Any]], work: float, device: torch.device
 ) -> dict[str, Spread]:
-    """Measures `work` per s of several functions, a repeat of one after the other: all meet the same disturbances.
+    """Measures `work` per s of several functions, with repeats in turns, so that all meet the same disturbances.
 
-    Every function is warmed up and called as often in a repeat as SHORTEST needs.
+    Every function is warmed up, and called in a repeat as often as SHORTEST needs.
     """
     calls, rates = {}, defaultdict(list)
     for name, function in functions.items():
@@ -94,22 +94,22 @@ def per_second(function: Callable[[], Any], work: float, device: torch.device) -
 
 
 def spread(values: list[float]) -> Spread:
-    """Returns the median and the extremes."""
+    """Returns the median and the extremes of values."""
     return {"median": median(values), "min": min(values), "max": max(values)}
 
 
 def us(rate: Spread) -> Spread:
-    """Converts how many a second into microseconds for one, and the other way round."""
+    """Converts a rate per s into microseconds per item."""
     return {"median": 1e6 / rate["median"], "min": 1e6 / rate["max"], "max": 1e6 / rate["min"]}
 
 
-# what is measured
+# the objects of the measurements
 
 
 def filters(config: Config) -> dict[str, Config]:
-    """Returns the configurations of the filters that are measured: by period in s, and "u1" with that set's bounds.
+    """Returns the configurations of the measured filters: by period in s, and "u1" with the bounds of plant U1.
 
-    A configuration with bounds keeps them.
+    A configuration with bounds keeps its own.
     """
     at = {f"{period:g}": override(config, {"rta": {"period": period}}, "benchmark") for period in PERIODS}
     u1 = config if not config.uncertainty.is_zero else load(U1, Config())
@@ -117,12 +117,12 @@ def filters(config: Config) -> dict[str, Config]:
 
 
 def identity(config: Config) -> dict[str, str]:
-    """Returns digests of a filter's settings and of its code as C: numbers are of the filter that has the same."""
+    """Returns digests of a filter's settings and of its C code, which say to which filter the numbers belong."""
     return {"settings": fingerprint(config), "code": code_digest(config)}
 
 
 def untrained(experiment: Experiment) -> Agent:
-    """Returns a policy as training begins with it, exploring."""
+    """Returns the policy with which training begins, with exploration."""
     generators = experiment.generators()
     policy = experiment.policy(generators)
     return lambda observation: policy.shaped(policy.sample(observation[None], generators)[0])[0]
@@ -132,7 +132,7 @@ def record(experiment: Experiment, agent: Agent) -> tuple[Tensor, Tensor]:
     """Plays EPISODES from the initial distribution.
 
     Returns:
-        States (16, N) and desired controls (6, N) of the filter's calls in the later half of STEPS, shuffled.
+        States (16, N) and desired controls (6, N) of the later half of the filter's calls, shuffled.
     """
     met: list[tuple[Tensor, Tensor]] = []
 
@@ -152,24 +152,24 @@ def record(experiment: Experiment, agent: Agent) -> tuple[Tensor, Tensor]:
 
 
 def repeated(columns: Tensor, count: int) -> Tensor:
-    """Returns the first `count` columns, (..., count), from the first again where there are fewer."""
+    """Returns the first `count` columns, (..., count); if there are fewer, it begins again with the first."""
     return columns[..., torch.arange(count, device=columns.device) % columns.shape[-1]].contiguous()
 
 
 def start(env: InspectionEnv, x: Tensor) -> Tensor:
-    """Puts states (16, N) that were met in flight into every episode; returns the observations."""
+    """Starts all episodes in states (16, N) from flights; returns the observations."""
     count = env.time.numel()
     return env.start(repeated(x, count), repeated(torch.eye(3).to(x), count))
 
 
-# how fast
+# rates
 
 
 def simulator_rates(gym_env: VectorInspection6DoF, x: Tensor) -> dict[str, Spread]:
-    """Measures environment steps per s from states (16, N) under small random actions, as of an untrained policy.
+    """Measures environment steps per s from states (16, N) under small random actions, like an untrained policy's.
 
     Returns:
-        "native", of the simulator itself, and "numpy" and "torch", of the same through Gymnasium's interface.
+        "native" for the simulator itself, "numpy" and "torch" for the simulator through Gymnasium's interface.
     """
     count = gym_env.num_envs
     gym_env.reset(seed=0)
@@ -196,10 +196,10 @@ def closed_loop_rate(env: InspectionEnv, x: Tensor, agent: Agent) -> Spread:
 
 
 def parts_of_a_step(experiment: Experiment, count: int, x: Tensor, agent: Agent) -> dict[str, float]:
-    """Plays PARTS_STEPS steps of so many episodes that start from states (16, N).
+    """Plays PARTS_STEPS steps of `count` episodes that start from states (16, N).
 
     Returns:
-        Microseconds per environment step by PARTS: "total", and what it consists of.
+        Microseconds per environment step by PARTS: "total", and its parts.
     """
     spent: dict[str, float] = defaultdict(float)
 
@@ -231,9 +231,9 @@ def parts_of_a_step(experiment: Experiment, count: int, x: Tensor, agent: Agent)
 
 
 def filter_rate(safety_filter: SafetyFilter, x: Tensor, desired: Tensor, batch: int) -> Spread:
-    """Measures filter calls per s, where a call is that of one spacecraft.
+    """Measures filter calls per s; a call is for one spacecraft.
 
-    Where states may be old the filter is given the controls sent since, all zero: as much to compute as any.
+    If states may be old, the filter gets the controls sent since; they are all zero, which costs as much as others.
     """
     sent = [repeated(torch.zeros_like(part), batch) for part in safety_filter.probe(x.device)[2:]]
     call = partial(safety_filter.correct, repeated(x, batch), repeated(desired, batch), *sent)
@@ -241,10 +241,10 @@ def filter_rate(safety_filter: SafetyFilter, x: Tensor, desired: Tensor, batch: 
 
 
 def paper_filter_rates(paper: SafetyFilter, x: Tensor, desired: Tensor, batch: int) -> dict[str, Spread]:
-    """Measures calls per s of the paper's filter: where every call has a program to solve, and where every third has.
+    """Measures calls per s of the paper's filter if every call has a program to solve, and if every third call has one.
 
     Args:
-        x, desired: states (16, N) and controls (6, N), of which some have one.
+        x, desired: states (16, N) and controls (6, N), some of which have a program to solve.
     """
     limit = x.new_tensor(paper.c.control_limit)[:, None]
     a, b, *_ = paper.program.evaluated(x)
@@ -260,20 +260,20 @@ def paper_filter_rates(paper: SafetyFilter, x: Tensor, desired: Tensor, batch: i
 
 
 def single_latencies(safety_filter: SafetyFilter, *met: Tensor) -> list[float]:
-    """Returns the ms of SINGLE_CALLS filter calls, sorted, all of other spacecraft, NumPy in and out."""
+    """Returns the sorted ms of SINGLE_CALLS filter calls for different spacecraft, with NumPy in and out."""
     given = (repeated(part, WARM_CALLS + SINGLE_CALLS).numpy(force=True).T.copy() for part in met)
     calls = [partial(safety_filter, *pair) for pair in zip(*given, strict=True)]
     return sorted([1e3 * seconds(call, torch.device("cpu")) for call in calls][WARM_CALLS:])
 
 
 def random_demands(config: Config, where: str) -> Spread:
-    """Measures microseconds per filter call, in flights of a minute under random demands from these starts."""
+    """Measures microseconds per filter call, in flights of a minute under random controls; starts as in `demands`."""
     flights = [demands.measure(config, "random", where, FLOWN, 60.0) for _ in range(3)]
     return us(spread([flight["calls_per_s"] for flight in flights]))
 
 
 def fresh_learner(experiment: Experiment, **settings: Any) -> PPO:
-    """Returns a learner as training begins with it, with some of [ppo]'s settings replaced."""
+    """Returns the learner with which training begins, with some of [ppo]'s settings replaced."""
     generators = experiment.generators()
     policy, value = experiment.policy(generators), experiment.value(generators)
     return PPO(policy, value, replace(experiment.config.ppo, **settings), generators)
@@ -296,8 +296,8 @@ def learner_rate(experiment: Experiment, minibatch: int, compiled: bool) -> Spre
 def learner_flops(learner: PPO) -> float:
     """Returns the flop of matrix products per sample of an update.
 
-    A layer of n x m weights takes 2 n m flop forward, as many for the weights' gradient and, but in the first layer, as
-    many for its input's. The value is multiplied as two columns, see StackedLinear.
+    A layer of n x m weights takes 2 n m flop forward, as many for the weights' gradient and, except in the first layer,
+    as many for its input's gradient. The value is multiplied as two columns, see StackedLinear.
     """
     flops = 0
     for network in (learner.policy.network, learner.value.network):
@@ -308,7 +308,7 @@ def learner_flops(learner: PPO) -> float:
 
 
 def compile_times(bare: Experiment, robust: Experiment, batch: int) -> dict[str, float]:
-    """Returns the s that compiling filter and simulator takes with an empty cache, and that of a filter with bounds."""
+    """Returns the s to compile filter, simulator and a filter with bounds, with an empty cache."""
     parts: dict[str, Callable[[], Any]] = {
         "filter": partial(fast, bare.checked_filter, bare.device, batch),
         "simulator": partial(bare.env(batch).compile, Compiled),
@@ -322,7 +322,7 @@ def compile_times(bare: Experiment, robust: Experiment, batch: int) -> dict[str,
 
 
 def peak_memory_mb(device: torch.device) -> float:
-    """Returns the most memory of the process so far; on a GPU, of PyTorch's tensors there."""
+    """Returns the peak memory of the process so far in MiB, or on a GPU that of PyTorch's tensors there."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device) / 2**20
     unit = 1 if sys.platform == "darwin" else 1024  # bytes, elsewhere KiB
@@ -337,20 +337,20 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
     """Measures everything, compiled unless config.train.compile is "off".
 
     Returns:
-        The content of `benchmark --json`. Headline numbers are medians, rates those at the batch of `batches`
-        next to TYPICAL, the learner's at that next to its minibatch. `min_max` has the smallest and largest
-        measurement of each under the same key; `scaling` has all three by batch: environments, spacecraft or
-        samples at once. `closed_loop_us` has `parts_of_a_step` by batch, `compile_s` what
-        `compile_times` says, `random_call_us` us a call under random demands, `filter` what filters were measured.
+        The content of `benchmark --json`. Headline numbers are medians. Rates are those at the batch of `batches`
+        closest to TYPICAL, the learner's rate at the batch closest to its minibatch. `min_max` has the smallest and
+        largest measurement of each under the same key; `scaling` has all three by batch: environments, spacecraft or
+        samples at once. `closed_loop_us` has `parts_of_a_step` by batch, `compile_s` has `compile_times`,
+        `random_call_us` has us per call under random controls, and `filter` says which filters were measured.
     """
     check_is_checked(config)
     config = override(config, {"train": {"rta": True}, "rta": {"qp_solver": "batched"}}, "benchmark")
     compiled, largest = wants_compile(config.train.compile, math.inf), max(batches)
     named = filters(config)
-    built = partial(Experiment, seconds=math.inf)  # compiled, however short
+    built = partial(Experiment, seconds=math.inf)  # compiled, although the flights are short
     uncompiled = partial(replace, train=replace(config.train, compile="off"))
     say = partial(print, file=sys.stderr, flush=True)
-    curves: dict[tuple[str, ...], dict[int, Spread]] = defaultdict(dict)  # by their keys in `scaling`
+    curves: dict[tuple[str, ...], dict[int, Spread]] = defaultdict(dict)  # keys as in `scaling`
     parts: dict[str, dict[int, float]] = {name: {} for name in PARTS}
 
     say("learner and matrix products")
@@ -368,7 +368,7 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
     experiment, robust = experiments["1"], experiments.pop("u1")
     agent = untrained(experiment)
     met = record(experiment, agent)
-    robust_met = record(robust, agent)  # the other filter leads to states that this one keeps away from
+    robust_met = record(robust, agent)  # this filter leads to other states
     paper = SafetyFilter(config.inspection, RtaParameters(filter="paper"))
     if compiled:
         paper = fast(paper, device, typical)
@@ -424,23 +424,23 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
 
 
 def nearest(batches: tuple[int, ...], wanted: int) -> int:
-    """Returns the batch next to the one wanted."""
+    """Returns the batch that is closest to the wanted one."""
     return min(batches, key=lambda n: abs(n - wanted))
 
 
 def nested(flat: Mapping[tuple[str, ...], Any]) -> dict[str, Any]:
-    """Returns values by one key or two as a nested dictionary."""
+    """Returns values that have one key or two as a nested dictionary."""
     found: dict[str, Any] = {}
     for (key, *name), value in flat.items():
         found |= {key: found.get(key, {}) | {name[0]: value}} if name else {key: value}
     return found
 
 
-# for people
+# text and figure
 
 
 def table(results: dict[str, Any]) -> str:
-    """Returns the headline numbers as text, a line for a key of the JSON, which also has them by batch."""
+    """Returns the headline numbers as text, a line for each key of the JSON."""
 
     def text(value: Any, extremes: Any = None) -> str:
         if isinstance(value, dict):

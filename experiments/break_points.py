@@ -1,8 +1,9 @@
-"""Finds where the filter breaks: one effect of the plant at a time, of rising size, with and without bounds on it.
+"""Finds where the filter fails: one effect of the plant at a time, of rising size, with and without error bounds.
 
-`main.py break-points`. Each world is flown like a campaign of `study.verification.campaign`, once with its errors held
-at a corner of their bounds and once with the worst. The break point of a limit is the smallest size tried at which an
-episode violated it in either; a size holds where none did. Bounds for which no check is known are refused.
+`main.py break-points`. Each effect and size is flown like a campaign of `study.verification.campaign`, once with errors
+held at a corner of their bounds and once with the worst errors. The break point of a limit is the smallest tried size
+at which an episode violated it in either flight; a size holds if no episode did. Bounds for which no check is known are
+refused.
 """
 
 import dataclasses
@@ -33,7 +34,7 @@ HATCHED: dict[str, Any] = {
     "hatch": "///",
     "ec": "0.75",
     "lw": 0,
-}  # a cell of which a size was not flown
+}  # a cell with a size that was not flown
 COLUMNS = {
     "separation": ("collision",),
     "speed": ("dynamic_speed",),
@@ -45,14 +46,14 @@ COLUMNS = {
     "battery": ("battery",),
     "body\nrates": ("angular_velocity_x", "angular_velocity_y", "angular_velocity_z"),
 }
-MISSED = 0.8  # probability of a missed call, up to so many in a row as the size says: nine are met, too
-ERRORS = ("steady", "worst")  # in which each world is flown
+MISSED = 0.8  # probability of a missed call, at most `size` in a row; so even nine in a row occur
+ERRORS = ("steady", "worst")  # kinds of errors; each plant is flown with both
 
 
 class Effect(NamedTuple):
-    """One effect, by size in its unit: the sizes tried, `[plant]` of the world, and `[uncertainty]` that says so.
+    """Holds an effect: unit and tried sizes, and by size the `[plant]` with it and the `[uncertainty]` that covers it.
 
-    `told` is of the size and the filter's period in s.
+    `told` takes the size and the filter's period in s.
     """
 
     unit: str
@@ -62,7 +63,7 @@ class Effect(NamedTuple):
 
 
 def factor(key: str, told: str, *sizes: float) -> Effect:
-    """Returns the effect of a factor of 1 -+ size."""
+    """Returns the effect of a factor between 1 - size and 1 + size."""
     return Effect("", sizes, lambda s: {key: [1.0 - s, 1.0 + s]}, lambda s, _: {told: s})
 
 
@@ -80,7 +81,7 @@ def alike(key: str, unit: str, *sizes: float, kind: type = float) -> Effect:
 
 EFFECTS = {
     "mass": factor("mass_factor", "mass", 0.03, 0.1, 0.3, 0.5),
-    # beyond a third no such body is possible
+    # at more than a third some inertias are impossible for a body
     "inertia": factor("inertia_factor", "inertia", 0.03, 0.1, 0.2, 0.3),
     "thrust gain": factor("thrust_gain", "thrust_gain", 0.03, 0.1, 0.3, 0.5),
     "torque gain": factor("torque_gain", "torque_gain", 0.1, 0.3, 0.6, 0.9),
@@ -104,7 +105,7 @@ EFFECTS = {
 
 @dataclasses.dataclass(frozen=True)
 class Worlds:
-    """What determines the numbers beside the configuration, see `Campaign`."""
+    """Holds what determines the numbers besides the configuration, see `Campaign`."""
 
     policy: str
     period: float
@@ -112,14 +113,14 @@ class Worlds:
     seed: int
     episodes: int
     missed: float = MISSED
-    errors: str = "drawn"  # what they were in reports that do not say
+    errors: str = "drawn"  # the errors of older reports, which do not say
 
 
 def empty_report(worlds: Any, config: Config) -> dict[str, Any]:
-    """Returns a report of no worlds, the form of `break-points --json`.
+    """Returns a report without worlds, in the form of `break-points --json`.
 
-    `worlds` has of each its effect, size, whether the filter was told, and either `violating_episodes` by limit, of all
-    ERRORS, and how many filter calls were unsolved, or `refused`, why there was nothing to fly.
+    Each of `worlds` has its effect, size and whether the filter was told. It also has `violating_episodes` by limit,
+    over all ERRORS, and the number of unsolved filter calls, or else `refused`, the reason why it was not flown.
     """
     return {
         "campaign": dataclasses.asdict(worlds),
@@ -131,18 +132,18 @@ def empty_report(worlds: Any, config: Config) -> dict[str, Any]:
 
 
 def measure(worlds: Worlds, config: Config, path: Path | None) -> dict[str, Any]:
-    """Flies all worlds with a progress bar; returns the report, which `path` holds too and is resumed from.
+    """Flies all worlds with a progress bar; returns the report, which `path` also holds, and a later call resumes.
 
     Args:
-        config: with the filter on, nominal plant and nil bounds.
+        config: with the filter on, a nominal plant and no error bounds.
 
     Raises:
-        InputError: the configuration has others, or cannot be flown.
+        InputError: the configuration has another plant or error bounds, or cannot be flown.
     """
     if config.plant != PlantParameters() or not config.uncertainty.is_zero:
         raise InputError("break-points brings its own worlds; leave out [plant] and [uncertainty]")
     check_is_checked(config)
-    # refuses before there is a bar what would refuse every world
+    # raises InputError, before the bar appears, for settings that no world could be flown with
     Experiment(replace(config, train=replace(config.train, compile="off")), worlds.episodes)
     report = report_in(path, worlds, config, table, empty_report)
     flown = {(world["effect"], world["size"], world["told"]): world for world in report["worlds"]}
@@ -160,8 +161,8 @@ def measure(worlds: Worlds, config: Config, path: Path | None) -> dict[str, Any]
 
 
 def fly_world(worlds: Worlds, config: Config, effect: Effect, size: float, told: bool) -> dict[str, Any]:
-    """Returns what came of one world."""
-    drawn = worlds.episodes * 9 // 8  # a few starts are beyond braking and do not count
+    """Flies one world; returns its violations and unsolved calls, or why it was refused."""
+    drawn = worlds.episodes * 9 // 8  # size of the batch, of which the first `episodes` starts are flown
     candidates, horizon = looking_ahead(worlds.policy, None, None)
     campaign = Campaign(
         *(worlds.policy, worlds.period, worlds.duration, worlds.seed, drawn),
@@ -187,12 +188,12 @@ def fly_world(worlds: Worlds, config: Config, effect: Effect, size: float, told:
 
 
 class Outcome(NamedTuple):
-    """What came of an effect, told or not, by size; None where there is no such size.
+    """Holds the results of an effect, told or not; a size is None if there is none.
 
     Attributes:
-        held: the largest below what broke or was refused.
-        broken: by column of COLUMNS, the smallest that violated one of its limits.
-        refused: the smallest that was refused.
+        held: the largest size below all sizes that violated a limit or were refused.
+        broken: by column of COLUMNS, the smallest size that violated one of its limits.
+        refused: the smallest size that was refused.
     """
 
     held: float | None
@@ -201,7 +202,7 @@ class Outcome(NamedTuple):
 
 
 def outcome(report: dict[str, Any], effect: str, told: bool) -> Outcome:
-    """Returns what a report says of an effect."""
+    """Returns the results of an effect from a report."""
     worlds = [world for world in report["worlds"] if world["effect"] == effect and world["told"] == told]
     held, broken, refused = None, dict[str, float](), list[float]()
     holds = True
@@ -218,7 +219,7 @@ def outcome(report: dict[str, Any], effect: str, told: bool) -> Outcome:
 
 
 def said(report: dict[str, Any], effect: str, told: bool) -> str:
-    """Says of an effect the last size that held, what broke first, and from where it is refused."""
+    """Returns as text an effect's largest size that held, the first violated limits, and the first refused size."""
     found = outcome(report, effect, told)
     text = "holds none" if found.held is None else f"holds {found.held:g}"
     if found.broken:
@@ -239,9 +240,9 @@ def table(report: dict[str, Any]) -> str:
 
 
 def figure(report: dict[str, Any]) -> Figure:
-    """Draws two panels, without and with `[uncertainty]`: effects by limits, in each cell the size that broke it.
+    """Draws two panels, without and with `[uncertainty]`: effects by limits, in each cell the size that violated it.
 
-    Green cells were flown at every size; hatched ones were refused from some size on.
+    Green cells were flown at every size without a violation; hatched ones were refused from some size on.
     """
     fig = Figure(figsize=(11.0, 9.5), layout="constrained")
     effects = list(dict.fromkeys(world["effect"] for world in report["worlds"]))

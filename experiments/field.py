@@ -1,12 +1,12 @@
-"""Compares what is done against violations: prices, a Lagrangian, filters in training, after it or both.
+"""Compares methods against violations: penalties, PPO-Lagrangian, and filters in training, after it or both.
 
     python main.py study --config configs/from_nothing.toml --config configs/field.toml --study-dir runs/filtered
     python main.py study --config configs/from_nothing.toml --config configs/field.toml --seeds 10 \\
         --arms plain,prices,lagrangian --study-dir runs/unfiltered
     python -m experiments.field --study runs/unfiltered runs/filtered --out runs/reference/field
 
-Reads what the arms of these studies broke in training, flies their agents with the filter and without, flies the
-guidance beside them, and draws how they learned. Takes a few minutes.
+Reads which limits the arms of these studies violated in training, flies their agents and the guidance with and without
+the filter, and draws the training curves. Takes a few minutes.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ from study.report.flights import flights_with, unlearned, with_rta
 
 KEPT = ("reward", "delta_v_m_s", "episode_length_s")
 CLASSICAL = ("quick", "even")  # settings of the guidance
-REFERENCE = "even"  # the one whose fuel and reward the figure shows
+REFERENCE = "even"  # the setting whose fuel and reward the figure shows
 SWITCHES = {"off": False, "on": True}
 SHOWN = {
     "success": "success (%)",
@@ -36,7 +36,7 @@ SHOWN = {
     "reward": "reward",
 }
 
-# what a reader of the figure knows an arm by; those of other studies go by their names
+# labels of arms in the figure; arms of other studies are shown by their names
 LABELS = {
     "plain": "no filter",
     "prices": "no filter, penalty near limits",
@@ -50,7 +50,7 @@ LABELS = {
 
 
 def summary(record: Episodes, config: Config, seeds: int = 1) -> dict[str, Any]:
-    """Returns what the page shows of the flights of so many seeds, and of each seed some of it."""
+    """Returns the numbers of the page for the flights of `seeds` seeds, and some of them for each seed."""
     results = report(record, config, TEST_CASES, seeds)
     each = [report(own, config, TEST_CASES) for own in record.split(seeds)]
     return {
@@ -69,10 +69,10 @@ def summary(record: Episodes, config: Config, seeds: int = 1) -> dict[str, Any]:
 
 
 def exposure(results: dict[str, Any]) -> dict[str, Any]:
-    """Returns what all seeds of an arm broke in training together: steps, those beyond a limit, the smallest h.
+    """Returns for all seeds of an arm together the steps in training, those with violations, and the smallest h.
 
     Raises:
-        InputError: it was not counted.
+        InputError: the violations were not counted.
     """
     seeds = results.get("training_per_seed")
     if not seeds:
@@ -96,7 +96,7 @@ def curves(path: Path) -> dict[str, list[Any]]:
     """Returns the periodic evaluations, each quantity a row per point of time and a column per seed.
 
     Raises:
-        InputError: a seed was not evaluated at each of these times.
+        InputError: some seed was not evaluated at some of the times.
     """
     lines = read_json_lines(path, "evaluations of a run")
     times = sorted({line["interactions"] for line in lines})
@@ -125,7 +125,7 @@ def guided(config: Config, name: str, cases: int, rta: bool, seed: int = TEST_CA
 
 
 def figure(results: dict[str, Any], beside: dict[str, Any], path: Path) -> None:
-    """Draws medians and range over the seeds of the periodic evaluations, and the guidance's means beside them."""
+    """Draws medians and ranges over the seeds of the periodic evaluations, and the guidance's means."""
     drawn = Figure(figsize=(11, 7), layout="constrained")
     for axis, (name, text) in zip(drawn.subplots(2, 2).flat, SHOWN.items(), strict=True):
         for number, (arm, found) in enumerate(results.items()):
@@ -146,7 +146,7 @@ def figure(results: dict[str, Any], beside: dict[str, Any], path: Path) -> None:
         axis.grid(alpha=0.3)
         if name == "violations":
             axis.set_yscale("symlog", linthresh=0.01)
-        if name == "delta_v_m_s":  # at first many times what it is in the end
+        if name == "delta_v_m_s":  # at first many times its final value
             axis.set(yscale="log", ylim=(0.5, None))
             axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     lines = {str(line.get_label()): line for axis in drawn.axes for line in axis.lines}
@@ -173,8 +173,8 @@ def write(studies: Sequence[Path], out: Path) -> None:
     """Writes results.json and figure.png of finished studies.
 
     Raises:
-        InputError: one is not finished, has an arm of another one, flew another number of cases, or was trained by an
-            older revision.
+        InputError: a study is not finished, shares an arm's name with another one, flew another number of cases, or was
+        trained by an older revision.
     """
     arms: dict[str, Arm] = {}
     evaluations: dict[str, Path] = {}
@@ -191,7 +191,7 @@ def write(studies: Sequence[Path], out: Path) -> None:
                 f"--study {study}: its evaluation_episodes or final_episodes differ from those before it"
             )
         evaluations |= {name: study / name / "evaluations.jsonl" for name in own}
-    training = {name: exposure(arm.results) for name, arm in arms.items()}  # first, since it may be refused
+    training = {name: exposure(arm.results) for name, arm in arms.items()}  # may raise InputError
     found: dict[str, Any] = {
         name: {
             "seeds": len(arm.digests),

@@ -1,9 +1,9 @@
-"""Flies the guidance by its names through cases that nobody has seen (experiments/learning_log.md).
+"""Flies each guidance by its name through unseen cases (experiments/learning_log.md).
 
     python -m experiments.guidance --out runs/reference/guidance
 
-With a decision every 10 s and without the filter, as it teaches but for its roll; then with one every second, without
-the filter and behind it. Takes ten minutes.
+It decides every 10 s without the filter, as when agents imitate it, except for its roll; then every second, without
+and with the filter. Takes ten minutes.
 """
 
 from pathlib import Path
@@ -17,7 +17,7 @@ from study.flight.controllers import classical
 from study.flight.evaluation import report, run_episodes
 from study.machine import set_threads
 
-UNSEEN_CASES = 3703  # seed of the cases; their knobs were searched on others
+UNSEEN_CASES = 3703  # seed of the cases; the guidance was tuned on other cases
 WAYS = {
     "teaching": (False, 10.0),
     "without": (False, 1.0),
@@ -28,7 +28,7 @@ KEPT = ("mean", "iqm", "ci95", "p5", "p95", "max")
 
 
 def flown(name: str, rta: bool, every: float, cases: int) -> dict[str, Any]:
-    """Returns what the pages show of a guidance that decides every so many s."""
+    """Flies a guidance that decides every `every` s; returns the numbers that the pages show."""
     experiment, env = paper_task(cases, UNSEEN_CASES + 1, rta, decide_every=every)
     controller = classical(name, env, UNSEEN_CASES, every)
     record = run_episodes(env, controller, test_cases(experiment.config, cases, UNSEEN_CASES))

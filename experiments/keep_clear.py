@@ -1,8 +1,8 @@
-"""Flies a study's agents led to free flights that stay clear of the chief (docs/results/learning.md).
+"""Flies a study's agents with `[train] keep_clear`, so that free flight misses the chief (docs/results/learning.md).
 
     python -m experiments.keep_clear --study runs/reference/from_nothing --out runs/reference/keep_clear
 
-All agents of the arm with RTA fly the study's test cases with `[train] keep_clear`; takes ten minutes.
+All agents of the arm with RTA fly the study's test cases; takes ten minutes.
 """
 
 from dataclasses import replace

@@ -1,8 +1,8 @@
-"""What a filter makes of what is demanded: how much it corrects, what its check moves, how fast it is, where it starts.
+"""Measures a filter: how much it corrects, what its check changes, its speed, and the share of accepted states.
 
     python -m experiments.measure --demand random --rta-period 10
 
-Designs of a filter are compared by it. `--json F` keeps the numbers.
+The numbers serve to compare designs of a filter. `--json F` keeps them.
 """
 
 import argparse
@@ -41,15 +41,15 @@ from study.verification.tape import CHECK_EVERY
 from study.verified import fingerprint
 
 SHORT = {"--rta-filter": "rta.filter", "--rta-period": "rta.period"}
-DRAWN = 4000  # states whose share of starts is counted
-HELD = 60.0  # s that full control is held
+DRAWN = 4000  # states for the share of accepted ones
+HELD = 60.0  # s, hold of full control
 WAYPOINT, NEAREST, FARTHEST = 100.0, 30.0, 400.0  # s between two waypoints; m from the chief
 FREQUENCY = 0.02  # rad/s, of the controller to waypoints, which is critically damped
-EDGE = 0.95  # of the distances of the safe set, that starts at the edge of the zone have at least
+EDGE = 0.95  # starts at the edge of the zone have the largest 5 % of the safe set's distances
 
 
 def full(c: InspectionParameters, generator: torch.Generator, batch: int) -> Controller:
-    """Full thrust and torque of every axis, with signs that are drawn anew every HELD s."""
+    """Returns a controller of full thrust and torque along every axis, with signs that are drawn anew every HELD s."""
     sign = torch.ones(CONTROL_SIZE, batch, dtype=torch.float64)
 
     def control(t: float, x: Tensor) -> Tensor:
@@ -61,7 +61,7 @@ def full(c: InspectionParameters, generator: torch.Generator, batch: int) -> Con
 
 
 def to_waypoints(c: InspectionParameters, generator: torch.Generator, batch: int) -> Controller:
-    """A proportional-derivative controller to one waypoint after another, with the camera at the chief."""
+    """Returns a proportional-derivative controller to one waypoint after another, with the camera at the chief."""
     target = torch.zeros(3, batch, dtype=torch.float64)
 
     def control(t: float, x: Tensor) -> Tensor:
@@ -75,7 +75,7 @@ def to_waypoints(c: InspectionParameters, generator: torch.Generator, batch: int
 
 
 def opposite(safety_filter: SafetyFilter) -> Controller:
-    """Full control against that of the backup laws: who asks for it wants to leave the flight that is verified."""
+    """Returns a controller of full control opposite to the backup laws', which leaves the backup trajectory."""
     if not (check := safety_filter.check):
         raise InputError("--demand opposite: this filter has no backup laws to oppose")
 
@@ -93,17 +93,17 @@ DEMANDS: dict[str, Callable[[InspectionParameters, torch.Generator, int], Contro
 }
 AGENT, OPPOSITE, LOOKAHEAD, BARELY = "agent", "opposite", "lookahead", "barely"
 STARTS = "paper", "safe-set", "edge", BARELY
-HALVINGS = 40  # of a way between a start and a state that is none
+HALVINGS = 40  # of the way between an accepted and a rejected state
 
 
 class Counted:
-    """`SafetyFilter.correct` that counts what it does.
+    """Wraps `SafetyFilter.correct` and counts its corrections.
 
     Attributes:
-        calls: of one spacecraft each; seconds: that they took.
-        corrected, moved, unverified: calls with another control than was desired, with another one than the programs'
-            for the check's sake, and with one that is not verified.
-        change, chatter: (2,) sums of |u - u_des| and of |u - u of the last call| in limits, of thrust and of torque.
+        calls: number of calls, each for one spacecraft; seconds: their duration.
+        corrected, moved, unverified: calls with a control that is not the desired one, that the check changed from the
+        programs', and that is not verified.
+        change, chatter: (2,) sums of |u - u_des| and of |u - u of the last call| in limits, for thrust and for torque.
     """
 
     def __init__(self, safety_filter: SafetyFilter) -> None:
@@ -114,7 +114,7 @@ class Counted:
         self.last: Tensor | None = None
 
     def correct(self, x: Tensor, desired: Tensor, **told: Tensor) -> FilterResult:
-        """See `SafetyFilter.correct`."""
+        """Calls `SafetyFilter.correct` and counts its answers."""
         started = time.perf_counter()
         answer = self.filter.correct(x, desired, **told)
         self.seconds += time.perf_counter() - started
@@ -131,7 +131,7 @@ class Counted:
 
 
 def starts(where: str, count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor]:
-    """States (16, count) that the filter accepts, and priority vectors (3, count); `where` is one of STARTS."""
+    """Returns states (16, count) that the filter accepts, and priority vectors (3, count); `where` is one of STARTS."""
     if where == "safe-set":
         return safe_set(count, seed, safety_filter)[:2]
     if where == BARELY:
@@ -150,7 +150,7 @@ def starts(where: str, count: int, seed: int, safety_filter: SafetyFilter) -> tu
 
 
 def barely(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor]:
-    """States that the filter hardly accepts: the last ones on the way to others within all limits, which it refuses."""
+    """Returns barely accepted states: the last accepted ones on the way to rejected states within all limits."""
     generator, c = torch.Generator().manual_seed(seed), safety_filter.c
 
     def accepts(s: Tensor) -> Tensor:
@@ -175,7 +175,7 @@ def barely(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, 
 
 
 def accepted(safety_filter: SafetyFilter, seed: int) -> float:
-    """The share of states with every h >= 0 that the filter accepts as starts, of DRAWN all over the safe set."""
+    """Returns the share of accepted starts among the states with every h >= 0, from DRAWN states."""
     generator = torch.Generator().manual_seed(seed)
     x, _ = states_of(torch.rand(NUMBERS, DRAWN, generator=generator, dtype=torch.float64), safety_filter.c)
     x = x[:, (safety_filter.values(x) >= 0.0).all(0)]
@@ -185,14 +185,14 @@ def accepted(safety_filter: SafetyFilter, seed: int) -> float:
 def measure(
     config: Config, demand: str, where: str, episodes: int, duration: float, policy: Policy | None = None
 ) -> dict[str, Any]:
-    """Flies episodes behind the filter under a demand, for a duration in s.
+    """Flies episodes with the filter under a demand, for a duration in s.
 
     Args:
-        demand: one of DEMANDS, "opposite", "lookahead", or "agent", who is `policy` then; where: as of `starts`.
+        demand: one of DEMANDS, "opposite", "lookahead", or "agent" for `policy`; where: as in `starts`.
 
     Returns:
-        Shares of calls in percent, mean changes in units of the actuators' limits, a rate, the share of starts in
-        percent, episodes in which a limit was broken, and what was measured.
+        Shares of calls in percent, mean changes in units of the actuators' limits, a rate, the share of accepted starts
+        in percent, the number of episodes with a violation, and the settings of the measurement.
     """
     experiment = Experiment(config, episodes, math.inf)  # compiled, however short the flight
     counted = Counted(experiment.filter)
@@ -232,7 +232,7 @@ def measure(
 
 
 def table(found: dict[str, Any]) -> str:
-    """The numbers for a person, a line each."""
+    """Returns the numbers as text, a line each."""
     words = {
         "corrected_percent": "calls corrected, %",
         "change_of_thrust": "mean |u - u_des| of thrust, in limits",
@@ -249,7 +249,7 @@ def table(found: dict[str, Any]) -> str:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Measures, and says what was found."""
+    """Measures, and prints the numbers."""
     parser = Parser(prog=f"python -m {__package__}.measure", description=__doc__.partition("\n")[0])
     add_flags(parser, Config(), ("inspection", "chief", "rta", "uncertainty"), SHORT)
     parser.add_argument(
@@ -268,7 +268,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def measured(arguments: argparse.Namespace) -> dict[str, Any]:
-    """What the words of a call ask for, written to their file, too."""
+    """Measures what the command line asks for, and writes the numbers to its file, if any."""
     if (arguments.demand == AGENT) != bool(arguments.checkpoint):
         raise InputError("--checkpoint F is needed by --demand agent and by no other")
     set_threads(None)

@@ -1,4 +1,4 @@
-"""The configuration of an experiment: frozen dataclasses, a table of a TOML file each."""
+"""The configuration of an experiment: frozen dataclasses, each of which is a table of a TOML file."""
 
 import dataclasses
 import re
@@ -15,7 +15,7 @@ from rta.names import CONSTRAINTS
 from rta.parameters import RtaParameters
 from settings import Settings, from_toml, override, setting
 
-# keys that a run of an earlier version recorded
+# keys that earlier versions recorded and that no longer exist
 RETIRED = re.compile(
     r"rows|(collision|speed|keep_in|passive_safety|velocity|rate)_gain|(exclusion|temperature|battery)_gains"
     r"|(collision|keep_in|passive_safety|exclusion|temperature|battery|rate)_margin"
@@ -26,13 +26,13 @@ RETIRED = re.compile(
 RETIRED_LINE = re.compile(rf"(?m)^(rta\.)?({RETIRED.pattern}) = .*\n")
 MAX_COUNT = 10**12
 LEARN_FROM = ("desired", "applied")
-MAX_SEEDS = 1000  # of a study; they share the memory
+MAX_SEEDS = 1000  # in a study; all seeds share the memory
 Tables = dict[str, dict[str, Any]]
-# The paper's arms: by name, in what an arm of a study differs from the study's own tables. More are in a file's [arms].
+# The paper's arms: by name, the settings in which an arm differs from the study's tables. A file's [arms] adds more.
 ARMS: dict[str, Tables] = {"no_rta": {"train": {"rta": False}}, "rta": {"train": {"rta": True}}}
 TEST_CASES = 0  # seed of the cases of every final evaluation
 EVALUATION_CASES = 1_000_000  # seed of the cases of evaluations during training
-GUIDE = "quick"  # the guidance with which agents are compared, and which teaches them unless another is named
+GUIDE = "quick"  # the guidance that agents are compared with, and imitate unless another is named
 BASELINES = (
     "untrained",
     "random",
@@ -48,7 +48,7 @@ count = partial(setting, above=0, most=MAX_COUNT)
 
 @dataclass(frozen=True)
 class TrainParameters(Settings):
-    """Settings of a training run."""
+    """Holds the settings of a training run."""
 
     rta: bool = setting(True, "whether the filter corrects the agent's actions")
     seed: int = setting(0, "of everything random; of a study, the first one", below=2**63)
@@ -108,23 +108,23 @@ class TrainParameters(Settings):
 
     @property
     def updates(self) -> int:
-        """Number of PPO updates."""
+        """Returns the number of updates, those of the imitation phase included."""
         return -(-self.interactions // self.batch)
 
     @property
     def lessons(self) -> int:
-        """Batches of the jump start, which take the place of updates."""
+        """Returns the number of batches of the imitation phase, each of which replaces a PPO update."""
         return -(-self.jump_start // self.batch)
 
     @property
     def batch(self) -> int:
-        """Interactions per update."""
+        """Returns the number of interactions per update and seed."""
         return self.num_envs * self.rollout_steps
 
 
 @dataclass(frozen=True)
 class StudyParameters(Settings):
-    """What a study trains."""
+    """Holds the arms that a study trains, and how many seeds of each."""
 
     seeds: int = setting(10, "of each arm, counted up from [train] seed", above=0, most=MAX_SEEDS)
     arms: tuple[str, ...] = setting(
@@ -139,7 +139,7 @@ class StudyParameters(Settings):
 
 @dataclass(frozen=True)
 class Config:
-    """Everything that determines a run; each field is a TOML table."""
+    """Holds everything that determines a run; each field is a TOML table."""
 
     train: TrainParameters = field(default_factory=TrainParameters)
     inspection: InspectionParameters = field(default_factory=InspectionParameters)
@@ -156,9 +156,10 @@ class Config:
 
 @dataclass(frozen=True)
 class StudyConfig(Config):
-    """Everything that determines a study.
+    """Holds everything that determines a study.
 
-    `arms` holds, by name and beside ARMS, in what an arm differs from the study's own tables: `[arms.NAME.TABLE]`.
+    `arms` holds arms besides ARMS by name, each with the settings in which it differs from the study's own tables:
+    `[arms.NAME.TABLE]`.
     """
 
     study: StudyParameters = field(default_factory=StudyParameters)
@@ -183,18 +184,18 @@ class StudyConfig(Config):
 
     @property
     def all_arms(self) -> dict[str, Tables]:
-        """The paper's arms and those of the file."""
+        """Returns the paper's arms and the arms of the file."""
         return {**ARMS, **self.arms}
 
     @property
     def seeds(self) -> range:
-        """The seeds of each arm."""
+        """Returns the seeds of each arm."""
         return range(self.train.seed, self.train.seed + self.study.seeds)
 
     def of_arm(self, name: str) -> Config:
         """Returns the configuration of a training run of the arm's first seed.
 
-        Where its filter is not of the kind that the rest has, its solver is to be chosen for itself.
+        If the arm's filter is of another kind than the study's, the arm's solver is chosen anew.
         """
         shared = Config(*(getattr(self, part.name) for part in dataclasses.fields(Config)))
         tables = self.all_arms[name]
@@ -208,7 +209,7 @@ AnyConfig = TypeVar("AnyConfig", bound=Config)
 
 
 def recorded(text: str, source: str, base: AnyConfig) -> AnyConfig:
-    """Reads the configuration of a finished run, as `from_toml`; without RETIRED keys, which are passed over."""
+    """Reads the configuration of a finished run as `from_toml`, but ignores RETIRED keys."""
     return from_toml(RETIRED_LINE.sub("", text), source, base)
 
 

@@ -1,31 +1,31 @@
-"""How commands end badly, and what turns the errors of libraries into bad input."""
+"""Errors that end a command, and a context that turns errors of libraries into bad input."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from settings import InputError
 
-# what damaged contents raise
+# errors that damaged contents raise
 MALFORMED = (LookupError, TypeError, ValueError, RuntimeError, AttributeError, ArithmeticError)
-LONGEST = 600  # characters of what a library says
-NO_MEMORY = "can't allocate memory", "out of memory"  # in what PyTorch raises on a CPU and on a GPU
+LONGEST = 600  # characters that are shown of a library's message
+NO_MEMORY = "can't allocate memory", "out of memory"  # words in PyTorch's errors on a CPU and on a GPU
 
 
 class ReflyError(Exception):
-    """A counter-example does not come out as recorded: one line on stderr and exit code 1."""
+    """Signals that a counter-example does not end as recorded: one line on stderr and exit code 1."""
 
 
 class ExportError(Exception):
-    """An exported agent does not act as the original: one line on stderr and exit code 1."""
+    """Signals that an exported agent does not act as the original: one line on stderr and exit code 1."""
 
 
 class Stopped(BaseException):
-    """A signal ended the work early; the directory holds what is needed to continue, and the message says how.
+    """Reports that a signal ended the work early; the directory holds the state to continue from, the message says how.
 
-    Like KeyboardInterrupt it can be raised anywhere, and nothing that handles an Exception may swallow it.
+    Like KeyboardInterrupt it can be raised anywhere, and code that handles an Exception must not catch it.
 
     Attributes:
-        number: the signal's.
+        number: the number of the signal.
     """
 
     def __init__(self, message: str, number: int) -> None:

@@ -34,16 +34,16 @@ from study.errors import as_input_error
 from study.flight.fly import Starts
 from study.machine import WORTH_COMPILING_FILTER, compile_or_explain, resolve_device, step, wants_compile
 
-EPISODE = 3600  # s, about as long as an agent takes
+EPISODE = 3600  # s, about the length of an agent's episode
 
-# what "free_flight" in `observed` depends on
+# settings on which "free_flight" in `observed` depends
 OF_FREE_FLIGHT = ("passive_safety_horizon", "free_flight_horizon", "deputy_radius", "chief_radius")
 
-LARGEST_WEIGHT = 1e3  # of a policy; training leaves weights of 2 at most
+LARGEST_WEIGHT = 1e3  # of a policy; weights after training are at most 2
 
 
 def ignores_keep_clear(config: Config) -> str | None:
-    """Why `[train] keep_clear` means nothing in a configuration that asks for it; None: it means something."""
+    """Returns why a configuration that asks for `[train] keep_clear` cannot have it; None: it can, or does not ask."""
     if config.train.keep_clear and not config.train.rta:
         return "it leads what the filter is asked for, and there is none (--no-rta)"
     if config.train.keep_clear and not config.uncertainty.is_zero:
@@ -52,21 +52,21 @@ def ignores_keep_clear(config: Config) -> str | None:
 
 
 class Experiment:
-    """What a configuration determines.
+    """Builds from a configuration the device, the filter, environments and networks.
 
     Args:
-        config: its `auto` solver is settled here.
-        batch: about how many spacecraft a call of the filter will have.
-        seconds: that the experiment simulates, to judge whether compiling is repaid; None: an episode.
+        config: the configuration, whose solver may be `auto`.
+        batch: about how many spacecraft are filtered at once.
+        seconds: simulated time of the experiment, to judge whether compiling saves time; None: an episode.
 
     Attributes:
-        config: with the solver that is used; device; filter.
-        task: `[inspection]`, with the chief's hull where it is that to stay clear of.
-        safety: constraints, admissible starts and, if the configuration wants it, the filter.
-        filter_compiled, compiled: the filter is compiled; simulator and learner are to be.
+        config: with the chosen solver; device; filter.
+        task: `[inspection]`, with the chief's hull if this is the keep-out zone.
+        safety: constraints, accepted initial states and, if the configuration wants it, the filter.
+        filter_compiled, compiled: the filter is compiled; simulator and learner are to be compiled.
 
     Raises:
-        InputError: the configuration's parts do not fit together or the machine.
+        InputError: parts of the configuration contradict each other, or the machine does not support them.
     """
 
     def __init__(self, config: Config, batch: int, seconds: float | None = None) -> None:
@@ -94,26 +94,26 @@ class Experiment:
             self.safety = kept_clear(self.safety, self.task)
 
     def compile_filter(self, batch: int) -> None:
-        """Puts a compiled filter in the place of the filter; raises as `rta.fast.filter.fast`."""
+        """Replaces the filter by a compiled one; raises as `rta.fast.filter.fast`."""
         from rta.fast.filter import fast
 
         self.filter = fast(self.filter, self.device, batch)
 
     @property
     def compiler(self) -> Compiler:
-        """What compiles functions of a batch."""
+        """Returns the compiler of functions of a batch."""
         from kernels.compiled import Compiled
 
         return Compiled
 
     @property
     def checked_filter(self) -> SafetyFilter:
-        """The filter, where it has a check; raises InputError where it has none."""
+        """Returns the filter; raises InputError if the filter has no check."""
         check_is_checked(self.config)
         return self.filter
 
     def generators(self, seeds: Sequence[int] = (0,)) -> list[torch.Generator]:
-        """One per seed, on the device."""
+        """Returns one generator per seed, on the device."""
         return [torch.Generator(self.device).manual_seed(seed) for seed in seeds]
 
     def env(
@@ -129,8 +129,8 @@ class Experiment:
         """Makes a batch of num_envs episodes per generator, compiled if wanted and possible.
 
         Args:
-            decide_every, report_every: as of `InspectionEnv`.
-            safety: in place of the experiment's; privileged: as of `InspectionEnv`.
+            decide_every, report_every: as in `InspectionEnv`.
+            safety: replaces the experiment's; privileged: as in `InspectionEnv`.
         """
         with as_input_error(
             f"[inspection] and [chief], {num_envs:,} episodes",
@@ -155,20 +155,20 @@ class Experiment:
         return env
 
     def policy(self, generators: Sequence[torch.Generator]) -> Policy:
-        """A freshly initialised policy, one seed per generator."""
+        """Returns a freshly initialised policy, one seed per generator."""
         return make_policy(self.config, generators)
 
     def value(self, generators: Sequence[torch.Generator]) -> Value:
-        """A freshly initialised value network, one seed per generator."""
+        """Returns a freshly initialised value network, one seed per generator."""
         observed = len(components(self.config.inspection))
         size = observed + (PRIVILEGED if self.config.ppo.privileged else 0)
         return Value(size, generators, self.config.ppo.hidden)
 
 
 def filter_of(config: Config) -> SafetyFilter:
-    """Returns the filter that a configuration asks for; raises InputError where its parts do not fit together.
+    """Returns the filter that a configuration asks for; raises InputError if its parts contradict each other.
 
-    One that is not flown needs no check.
+    A filter that does not correct controls needs no check.
     """
     rta = config.rta if config.train.rta else replace(config.rta, unverified=True)
     is_paper = config.rta.filter == "paper"
@@ -198,7 +198,7 @@ def filter_of(config: Config) -> SafetyFilter:
 
 
 def for_batches(safety_filter: SafetyFilter) -> SafetyFilter:
-    """Returns the filter, its programs solved for a whole batch at once where that is wanted and rta/fast is here."""
+    """Returns the filter; it solves its programs for a whole batch at once if this is wanted and rta/fast is here."""
     if safety_filter.parameters.solver == "batched" and find_spec("rta.fast"):
         from rta.fast.filter import batched
 
@@ -207,7 +207,7 @@ def for_batches(safety_filter: SafetyFilter) -> SafetyFilter:
 
 
 def check_is_checked(config: Config) -> None:
-    """Raises InputError where a configuration asks for a filter without a check."""
+    """Raises InputError if a configuration asks for a filter without a check."""
     if config.rta.filter != "checked":
         raise InputError(
             f'[rta] filter (--rta-filter) = "{config.rta.filter}": must be "checked" for this command'
@@ -215,7 +215,7 @@ def check_is_checked(config: Config) -> None:
 
 
 def checked_filter(config: Config) -> SafetyFilter:
-    """Returns the filter with a check; raises InputError where the configuration asks for another one or is wrong."""
+    """Returns the filter with a check; raises InputError if the configuration asks for another filter or is wrong."""
     check_is_checked(config)
     return filter_of(config)
 
@@ -223,11 +223,11 @@ def checked_filter(config: Config) -> SafetyFilter:
 def paper_task(
     batch: int, seed: int, rta: bool = False, decide_every: float | None = None, **task: Any
 ) -> tuple[Experiment, InspectionEnv]:
-    """The default task, compiled on the CPU, as programs fly the guidance in it: without the filter, or behind it.
+    """Builds the default task, compiled on the CPU, in which programs fly the guidance without or with the filter.
 
     Args:
-        batch: episodes; seed: of what they draw; decide_every: as of `InspectionEnv`.
-        task: constants that are others, as of `InspectionParameters`.
+        batch: episodes; seed: of their random numbers; decide_every: as in `InspectionEnv`.
+        task: changed constants, as in `InspectionParameters`.
     """
     base = Config()
     config = replace(
@@ -241,7 +241,7 @@ def paper_task(
 
 
 def test_cases(config: Config, episodes: int, seed: int) -> Starts:
-    """Returns the common test cases, the same for every agent and device; none depends on how many there are."""
+    """Returns the common test cases, the same for every agent and device; no case depends on the number of cases."""
     c = with_hull(config.inspection, config.chief)
     with (
         as_input_error(
@@ -257,7 +257,7 @@ def test_cases(config: Config, episodes: int, seed: int) -> Starts:
 
 def plant_numbers(episodes: int, seed: int) -> Tensor:
     """Returns the numbers (episodes,) from which the plants and chiefs of the test cases of a seed follow."""
-    return uniform(0.0, 1.0, episodes, torch.Generator().manual_seed(seed + 1))  # no stream of the states
+    return uniform(0.0, 1.0, episodes, torch.Generator().manual_seed(seed + 1))  # not the states' stream
 
 
 def check_clocks(
@@ -267,14 +267,14 @@ def check_clocks(
     duration: float | None = None,
     where: str = "clocks that do not fit",
 ) -> None:
-    """Refuses clocks of an environment that do not divide, before anything is built; `where` begins the message."""
+    """Raises InputError for clocks that do not divide, before anything is built; `where` begins the message."""
     c, period = config.inspection, config.rta.period if config.train.rta else None
     with as_input_error(where, ValueError):
         clocks_of(c, period, decide_every, report_every).count(duration or c.action_period)
 
 
 def check_plant(config: Config) -> None:
-    """Refuses what the simulator does not have, and Basilisk where it is not installed."""
+    """Raises InputError for effects that the simulator does not have, and for Basilisk if it is not installed."""
     with as_input_error("[plant]", ValueError):
         config.plant.check_simulator()
     if config.plant.simulator == "basilisk" and not find_spec("Basilisk"):
@@ -284,7 +284,7 @@ def check_plant(config: Config) -> None:
 
 
 def check_chief(config: Config) -> None:
-    """Refuses a chief whose mesh cannot be used, before anything is built or written."""
+    """Raises InputError for a chief whose mesh cannot be used, before anything is built or written."""
     if config.chief.mesh:
         with as_input_error("[chief]", ValueError):
             surface(config.chief, config.inspection)
@@ -292,7 +292,7 @@ def check_chief(config: Config) -> None:
 
 
 def check_cache() -> None:
-    """Refuses a compile cache that cannot be made: PyTorch makes it, also where nothing is compiled."""
+    """Raises InputError if the compile cache cannot be made: PyTorch makes it even if nothing is compiled."""
     if path := os.environ.get("TORCHINDUCTOR_CACHE_DIR"):
         with as_input_error(
             f"TORCHINDUCTOR_CACHE_DIR {path!r}: cannot make this directory", OSError, ValueError
@@ -301,7 +301,7 @@ def check_cache() -> None:
 
 
 def settled(config: AnyConfig) -> AnyConfig:
-    """The configuration with its solver and the digest of the chief's mesh, which determine a run's numbers."""
+    """Returns the configuration with its solver and the digest of the chief's mesh, which determine a run's numbers."""
     with as_input_error("[chief]", ValueError):
         config = replace(
             config, chief=replace(config.chief, mesh=config.chief.mesh and with_digest(config.chief.mesh))
@@ -312,7 +312,7 @@ def settled(config: AnyConfig) -> AnyConfig:
 
 
 def make_policy(config: Config, generators: Sequence[torch.Generator]) -> Policy:
-    """A freshly initialised policy, one seed per generator."""
+    """Returns a freshly initialised policy, one seed per generator."""
     ppo = config.ppo
     return Policy(
         len(components(config.inspection)),
@@ -327,7 +327,7 @@ def make_policy(config: Config, generators: Sequence[torch.Generator]) -> Policy
 
 
 def load_policy(path: str | Path) -> tuple[Policy, Config]:
-    """A trained policy on the CPU and the configuration it was trained in.
+    """Loads a trained policy to the CPU, and the configuration of its training.
 
     Raises:
         CheckpointError, InputError: the file is missing, damaged or not a checkpoint.
@@ -342,7 +342,7 @@ def load_policy(path: str | Path) -> tuple[Policy, Config]:
 
 
 def check_observed(config: Config, trained: Config) -> None:
-    """Refuses to show an agent anything but what it was trained with."""
+    """Raises InputError if an agent would observe anything else than in training."""
     ours, theirs = (list(each.inspection.observed) for each in (config, trained))
     if set(ours) != set(theirs):
         raise InputError(f"[inspection] observed = {ours}: the agent was trained with {theirs}")
@@ -360,7 +360,7 @@ def check_observed(config: Config, trained: Config) -> None:
 
 
 def check_weights(weights: dict[str, Tensor], path: str | Path) -> None:
-    """Raises CheckpointError for weights that no training leaves."""
+    """Raises CheckpointError for weights that cannot come from training."""
     for name, weight in weights.items():
         if weight.dtype != torch.float32:
             raise CheckpointError(f"{path}: {name} is {weight.dtype}: must be torch.float32")

@@ -1,4 +1,4 @@
-"""Files: arrays that are read, and whatever is written, whole or not at all."""
+"""Files: reads JSON and arrays, and writes every file whole or not at all."""
 
 import json
 import re
@@ -20,27 +20,27 @@ UNREADABLE = (
     OSError,
     ValueError,
     RecursionError,
-)  # what reading a file raises that is not JSON, or nested too deep
+)  # errors from reading a file that is not JSON or nested too deep
 
 
 def read_json(path: str | Path, what: str) -> dict[str, Any]:
     """Returns the object in a JSON file; errors say `what` it should have been.
 
     Raises:
-        InputError: there is no such file, it is not JSON, or it holds anything but an object.
+        InputError: there is no such file, it is not JSON, or it holds something else than an object.
     """
     with as_input_error(f"{path}: cannot read the {what}", *UNREADABLE):
         return as_object(Path(path).read_text(encoding="utf-8-sig"))
 
 
 def read_json_lines(path: str | Path, what: str) -> list[dict[str, Any]]:
-    """Returns the objects in a file of JSON, one a line; raises as `read_json`."""
+    """Returns the objects in a file with a JSON object on each line; raises as `read_json`."""
     with as_input_error(f"{path}: cannot read the {what}", *UNREADABLE):
         return [as_object(line) for line in Path(path).read_text(encoding="utf-8").splitlines()]
 
 
 def as_object(text: str) -> dict[str, Any]:
-    """Returns the object that JSON text holds; raises ValueError, or RecursionError, where it holds none."""
+    """Returns the object that JSON text holds; raises ValueError or RecursionError if the text holds none."""
     content = json.loads(text)
     if not isinstance(content, dict):
         found = "a number" if type(content) is int else kind(content)
@@ -49,7 +49,7 @@ def as_object(text: str) -> dict[str, Any]:
 
 
 def kind(content: Any) -> str:
-    """Says what a value of JSON is."""
+    """Returns the kind of a JSON value in words."""
     if isinstance(content, (bool, type(None))):
         return json.dumps(content)
     if isinstance(content, int):
@@ -59,10 +59,11 @@ def kind(content: Any) -> str:
 
 
 def check_like(content: Any, form: Any, maybe: Collection[str] = (), name: str = "it") -> None:
-    """Raises ValueError where content of JSON has another form than a sample.
+    """Raises ValueError if JSON content has another form than a sample.
 
-    Its objects have all keys of the sample's but those of `maybe`, and may have more. A count stands for any count (an
-    integer, not negative), null for anything, and an empty object or list for any object or list.
+    Objects in the content must have all keys of the sample except the keys in `maybe`, and may have more. A count in
+    the sample stands for any count (an integer, not negative), null for anything, and an empty object or list for any
+    object or list.
     """
     allowed = ("a number", "a count", "a negative integer") if isinstance(form, float) else (kind(form),)
     if form is not None and kind(content) not in allowed:
@@ -77,9 +78,9 @@ def check_like(content: Any, form: Any, maybe: Collection[str] = (), name: str =
 def load_arrays(
     path: str | Path, names: tuple[str, ...], what: str, where_missing: str, maybe: tuple[str, ...] = ()
 ) -> dict[str, np.ndarray]:
-    """The named arrays of a .npz file; errors say `what` it should have been, and `where_missing` of one it lacks.
+    """Returns named arrays of a .npz file; errors say `what` the file should be, and `where_missing` for a lost array.
 
-    Those of `maybe` may be missing.
+    Arrays named in `maybe` may be missing.
 
     Raises:
         InputError: there is no such file, it cannot be read, or it lacks an array.
@@ -92,7 +93,7 @@ def load_arrays(
 
 
 def read_npz(path: str | Path, what: str, names: Collection[str] | None = None) -> dict[str, np.ndarray]:
-    """The arrays of a .npz file, those of these names or all; errors say `what` it should have been.
+    """Returns the arrays of these names, or all arrays, of a .npz file; errors say `what` the file should be.
 
     Raises:
         InputError: there is no such file, or it cannot be read.
@@ -107,8 +108,8 @@ def read_npz(path: str | Path, what: str, names: Collection[str] | None = None) 
 
 
 def check_writable(path: Path) -> None:
-    """Raises OSError or ValueError for an output that cannot be written; leaves nothing behind."""
-    if path.is_fifo():  # opened and closed, it would tell its reader that all was written
+    """Raises OSError or ValueError if an output cannot be written; leaves no file behind."""
+    if path.is_fifo():  # opening and closing it would tell its reader that all was written
         return
     if path.exists():
         path.open("ab").close()
@@ -117,12 +118,12 @@ def check_writable(path: Path) -> None:
         temporary_beside(path).unlink()
 
 
-NUMBERS = re.compile(r"(?<=\[)\n[-\d.eE+,\s]+(?=\])")  # of an indented list that holds nothing else
+NUMBERS = re.compile(r"(?<=\[)\n[-\d.eE+,\s]+(?=\])")  # the numbers of an indented list of numbers
 
 
 @contextmanager
 def writing(path: str | Path) -> Iterator[BinaryIO]:
-    """A file to write, see `ppo.files.replacing`; raises OSErrors that name the file, also for a full disk."""
+    """Opens a file to write, see `ppo.files.replacing`; raises OSErrors that name the file, also for a full disk."""
     with naming(path), replacing(Path(path)) as file:
         yield file
 
@@ -134,7 +135,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
-    """Writes content as indented JSON with a list of numbers on a line, whole or not at all."""
+    """Writes content as indented JSON with each list of numbers on one line, whole or not at all."""
     indented = json.dumps(content, indent=2)
     write_text(path, NUMBERS.sub(lambda numbers: " ".join(numbers[0].split()), indented) + "\n")
 
@@ -142,4 +143,4 @@ def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
 def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Writes named arrays as a compressed .npz file, whole or not at all."""
     with writing(path) as file:
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # none has the name of a flag
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # no array has a parameter's name

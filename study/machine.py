@@ -1,4 +1,4 @@
-"""The machine that a command runs on: what it shows, device, threads, compiler, locks, and what describes it all."""
+"""The machine that a command runs on: progress bars, device, threads, compiler, locks, and the record of all these."""
 
 import errno
 import functools
@@ -25,28 +25,26 @@ from settings import InputError, in_one_line, to_toml
 from study.config import Config
 from study.files import ROOT, read_json, write_json, write_text
 
-PATIENCE = 2.0  # s in which nobody needs to be told what is going on
-LOCK = ".lock"  # in a directory that a process works in
-HELD = ".lock.held"  # beside it where the file system knows no locks: there while a process works
+PATIENCE = 2.0  # s, work that is done within this time shows no progress
+LOCK = ".lock"  # file in a directory that a process works in
+HELD = ".lock.held"  # file beside LOCK if the file system has no locks: it exists while a process works
 LOCKS = LOCK, HELD
 NFS_WITHOUT_LOCKS = 524  # Linux' own ENOTSUPP, which the errno module lacks
 WITHOUT_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, NFS_WITHOUT_LOCKS}
-# Compiling takes 3 s the first time, which as many filter calls or steps (of a batch each) repay.
+# Compiling takes 3 s the first time. It saves time after this many filter calls or steps of a batch.
 WORTH_COMPILING = 150
-# A call of a filter that is not compiled flies its check in Python, up to a second; compiling it takes 4 to 10.
+# An uncompiled filter flies its check in Python, up to 1 s a call; compiling the filter takes 4 to 10 s.
 WORTH_COMPILING_FILTER = 10
-MOST_THREADS = (
-    4096  # that any machine was used with; so many more that they cannot be started end the process
-)
+MOST_THREADS = 4096  # the most used so far; numbers of threads that cannot be started end the process
 PACKAGES = ("numpy", "piqp", "scipy", "tensorboard")  # beside PyTorch
 
 
-# what a person sees of work that takes long
+# progress of long work
 
 
 @contextmanager
 def step(what: str) -> Iterator[None]:
-    """Says on stderr what takes longer than PATIENCE; of many ranks, the first one."""
+    """Prints on stderr what takes longer than PATIENCE; with many ranks, only the first one prints."""
     timer = Timer(PATIENCE, print, (f"{what} ...",), {"file": sys.stderr, "flush": True})
     timer.daemon = True
     if is_first():
@@ -58,17 +56,17 @@ def step(what: str) -> Iterator[None]:
 
 
 def bar(total: int, unit: str, **options: Any) -> tqdm:
-    """Makes a bar on stderr of how many of so many units are done, from PATIENCE on; of many ranks, the first one's."""
-    if not sys.stderr.isatty():  # a log, which cannot go back in its lines
+    """Makes a bar on stderr that shows, after PATIENCE, how many of `total` units are done; only on the first rank."""
+    if not sys.stderr.isatty():  # a log file, in which the bar cannot be redrawn
         options |= {"mininterval": 10.0, "position": 0}
     return tqdm(total=total, unit=f" {unit}", delay=PATIENCE, disable=not is_first(), **options)
 
 
-# what computes
+# device, threads and compiler
 
 
 def resolve_device(name: str) -> torch.device:
-    """Returns the device for auto, cpu or cuda; each rank of a machine has one of its own."""
+    """Returns the device for auto, cpu or cuda; each rank of a machine has its own GPU."""
     if name == "cuda" and not torch.cuda.is_available():
         raise InputError(
             "device cuda: no CUDA device is available here; allowed are auto and cpu (--device cpu)"
@@ -85,13 +83,13 @@ def resolve_device(name: str) -> torch.device:
 
 
 def set_threads(wanted: int | None, recorded: int | None = None) -> None:
-    """Sets how many threads this process computes with, never by the load of the machine, so that a seed fixes a run.
+    """Sets the number of threads of this process, whatever the machine's load, so that a seed determines a run.
 
-    PyTorch adds up in another order with another number of threads, so that it has one by default. A printed function
-    has the same bits on any number of threads: it has all processors, unless a person or OMP_NUM_THREADS says less.
+    PyTorch sums in another order with another number of threads, so it has one by default. A printed function returns
+    the same bits with any number of threads, so it uses all processors unless a person or OMP_NUM_THREADS sets fewer.
 
     Args:
-        wanted: by a person; recorded: with how many of PyTorch's a run was begun that is to continue bit for bit.
+        wanted: number from a person; recorded: PyTorch's number in the run that is to continue bit for bit.
     """
     if wanted is not None and wanted > (most := os.cpu_count() or 1):
         raise InputError(
@@ -110,13 +108,13 @@ def set_threads(wanted: int | None, recorded: int | None = None) -> None:
 
 
 def wants_compile(choice: str, calls: float, worth: int = WORTH_COMPILING) -> bool:
-    """Tells whether to compile for --compile auto, on or off; `calls` are to come, `worth` repay it."""
+    """Tells whether to compile for --compile auto, on or off; auto means on if the expected `calls` reach `worth`."""
     return (choice == "on" or (choice == "auto" and calls >= worth)) and finds_compiler()
 
 
 @functools.cache
 def finds_compiler() -> bool:
-    """Tells whether there is a C compiler; if not, says so, once."""
+    """Tells whether there is a C compiler; if there is none, prints this once."""
     try:
         from kernels.build import NoCompilerError, compiler
     except ModuleNotFoundError:
@@ -131,28 +129,28 @@ def finds_compiler() -> bool:
 
 
 def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
-    """Compiles; where that fails, says so in a line. Returns whether it went well."""
+    """Compiles and returns whether this succeeded; if not, prints the reason in a line."""
     try:
         with step(f"compiling the {what}, up to a minute"):
             compile()
-    except Exception as error:  # a missing or broken compiler, a full or read-only cache: in many ways
+    except Exception as error:  # many types: compiler missing or broken, cache full or read-only
         reason = in_one_line(f"{type(error).__name__}: {error}")[:200]
         print(f"the {what} could not be compiled ({reason}); uncompiled, it is slower", file=sys.stderr)
         return False
     return True
 
 
-# a directory and what describes a run in it
+# the directory of a run: its lock and its description
 
 
 @contextmanager
 def directory_lock(directory: Path, flag: str) -> Iterator[None]:
-    """Keeps every other process out of a directory; of many ranks, the first one does for all.
+    """Locks a directory against every other process; with many ranks, the first one locks it for all.
 
-    Where the file system knows no locks, a file does that is there as long as the process works, and that a later
-    process on the same machine takes over from a dead one.
+    If the file system has no locks, a file replaces the lock. The file exists as long as the process works, and a later
+    process on the same machine takes it over if the process has died.
 
-    Raises InputError, naming the flag, where another process has it or there is no such directory.
+    Raises InputError, naming the flag, if another process holds the lock or the directory does not exist.
     """
     taken: list[BaseFileLock] = []
 
@@ -174,7 +172,7 @@ def directory_lock(directory: Path, flag: str) -> Iterator[None]:
 
 
 def locked(directory: Path) -> BaseFileLock:
-    """Returns the lock of a directory, taken; raises Timeout where another process has it."""
+    """Acquires and returns the lock of a directory; raises Timeout if another process holds it."""
     lock = FileLock(directory / LOCK, timeout=0, fallback_to_soft=False)
     try:
         with naming(directory / LOCK):
@@ -189,7 +187,7 @@ def locked(directory: Path) -> BaseFileLock:
 
 def git_revision() -> str:
     """Returns the commit of the source tree, marked if modified; "unknown" outside a repository."""
-    if not (ROOT / ".git").exists():  # an archive of the sources, maybe below another repository
+    if not (ROOT / ".git").exists():  # an archive of the sources, maybe inside another repository
         return "unknown"
     words = ["git", "describe", "--always", "--dirty", "--abbrev=40"]
     try:
@@ -199,12 +197,12 @@ def git_revision() -> str:
 
 
 def provenance(device: torch.device) -> dict[str, Any]:
-    """Returns what else determines a run's numbers, beside its configuration."""
+    """Returns what determines a run's numbers besides the configuration: commit, versions, device, threads, ranks."""
     gpu = device.type == "cuda"
     return {
         "git_revision": git_revision(),
         "python": platform.python_version(),
-        "packages": {"torch": torch.__version__}  # which says of which build, too
+        "packages": {"torch": torch.__version__}  # the version also names the build
         | {name: importlib.metadata.version(name) for name in PACKAGES},
         "device": torch.cuda.get_device_name(device) if gpu else platform.processor() or "cpu",
         "threads": torch.get_num_threads(),
@@ -213,7 +211,7 @@ def provenance(device: torch.device) -> dict[str, Any]:
 
 
 def write_settings(config: Config, directory: Path, init_from: Path | None = None) -> None:
-    """Writes what describes a run or a study: provenance.json, with the file it started from, then config.toml."""
+    """Writes the description of a run or study: provenance.json, with `init_from` and its digest, then config.toml."""
     about = provenance(resolve_device(config.train.device))
     if init_from:
         digest = hashlib.sha256(init_from.read_bytes()).hexdigest()
@@ -223,7 +221,7 @@ def write_settings(config: Config, directory: Path, init_from: Path | None = Non
 
 
 def recorded_threads(directory: Path) -> int | None:
-    """Returns the threads that provenance.json says a run was begun with; None where it does not say."""
+    """Returns the number of threads of a run according to its provenance.json; None if the file does not say."""
     try:
         recorded = read_json(directory / "provenance.json", "provenance").get("threads")
     except InputError:

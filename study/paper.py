@@ -1,4 +1,4 @@
-"""The paper's Tables 2 and 3, and what an evaluation of ours gives in their place."""
+"""The paper's Tables 2 and 3, and the same numbers from an evaluation of ours."""
 
 import math
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ Numbers = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and, where it is known, its 95 % interval (low, high)."""
+    """Holds a number and, if known, its 95 % interval (low, high)."""
 
     value: float
     interval: tuple[float, float] | None = None
 
     def text(self, digits: int) -> str:
-        """value [low, high], or the value alone; nothing where there is none (NaN)."""
+        """Returns "value [low, high]", or the value alone; an empty text if there is no value (NaN)."""
         if math.isnan(self.value):
             return ""
         if self.interval is None:
@@ -29,15 +29,15 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Published:
-    """A row of Table 2 or 3: the paper's numbers, printed with so many digits."""
+    """Holds a row of Table 2 or 3: the paper's numbers, printed with `digits` decimals."""
 
     label: str
     digits: int
-    by_arm: dict[str, Estimate]  # by the study's names of the arms
+    by_arm: dict[str, Estimate]  # keys are the study's names of the arms
 
 
 def iqms(label: str, digits: int, no_rta: Numbers, rta: Numbers) -> Published:
-    """A row of Table 2 from the IQM, low and high of either arm."""
+    """Makes a row of Table 2 from the IQM, low and high of either arm."""
     arms = {"no_rta": no_rta, "rta": rta}
     return Published(
         label, digits, {arm: Estimate(iqm, (low, high)) for arm, (iqm, low, high) in arms.items()}
@@ -45,7 +45,7 @@ def iqms(label: str, digits: int, no_rta: Numbers, rta: Numbers) -> Published:
 
 
 def means(label: str, no_rta: float, rta: float) -> Published:
-    """A row of Table 3."""
+    """Makes a row of Table 3."""
     return Published(label, 3, {"no_rta": Estimate(no_rta), "rta": Estimate(rta)})
 
 
@@ -81,7 +81,7 @@ PAPER_VIOLATIONS |= {name: means(name.replace("_", " "), math.nan, math.nan) for
 
 
 def measured(results: Results, name: str) -> Estimate:
-    """What an evaluation gives for a metric (IQM), or in % for a violation (mean) or "success"."""
+    """Returns an evaluation's number for a metric (IQM), or in % for a violation (mean) or "success"."""
     if name == "success":
         return Estimate(100.0 * results["outcomes"]["success"])
     if name in results["violations_percent"]:
@@ -92,7 +92,7 @@ def measured(results: Results, name: str) -> Estimate:
 
 
 def tables(results: Results) -> str:
-    """Both tables as text for the results of one evaluation, at most 100 columns wide."""
+    """Returns both tables as text for the results of one evaluation, at most 100 columns wide."""
     lines = [
         f"Table 2: interquartile mean (the mean of the middle half) over {results['episodes']:,} episodes",
         "[95 % confidence interval]",
@@ -119,7 +119,7 @@ def tables(results: Results) -> str:
 
 
 def rows(results: Results, published: dict[str, Published], widths: tuple[int, int, int]) -> list[str]:
-    """A table's lines: its heading, and ours beside the paper's columns."""
+    """Returns a table's lines: its heading, and our numbers beside the paper's columns."""
     lines: list[tuple[str, ...]] = [("", "this one", "paper, no RTA", "paper, RTA")]
     for name, paper in published.items():
         numbers = (measured(results, name), *paper.by_arm.values())

@@ -1,4 +1,4 @@
-"""How near a limit is, in the same unit for every constraint: filter calls."""
+"""The distance to a limit in one unit for all constraints: filter calls."""
 
 import math
 
@@ -7,16 +7,16 @@ from rta.names import CONSTRAINTS
 
 
 def scales(c: Limits, period: float) -> list[float]:
-    """By constraint, how far its h can fall from one filter call to the next, in its unit.
+    """Returns for each constraint how far its h can fall from one filter call to the next, in h's unit.
 
-    h over it is the least number of calls, `period` s each, that lie between a state and the limit. Each is
-    what |dh/dt| reaches near the limit, times the period:
+    h over this scale is the least number of calls, `period` s each, between a state and the limit. Each scale is the
+    largest |dh/dt| near the limit times the period:
 
-    - v changes by a T at most, with a of thrust along all axes and of the natural acceleration, and so does its radial
-      part; where h is zero, sqrt(2 a_max d) changes by a_max T. The limit of speed moves by nu_1 |v| T.
-    - The far end of the free flight is moved by T_f a T.
-    - The Sun's and the Earth's directions turn by |omega| T. The surface heats and the battery empties on top.
-    - omega_i^2 changes by 2 omega_max alpha_max T, and by omega_max^2 from its limit to zero.
+    - v and its radial part change by at most a T, with a from thrust along all axes and the natural acceleration. Where
+      h is zero, sqrt(2 a_max d) changes by a_max T. The speed limit changes by nu_1 |v| T.
+    - The end of the free flight moves by T_f a T.
+    - The directions to Sun and Earth turn by |omega| T. In addition the surface heats up and the battery discharges.
+    - omega_i^2 changes by 2 omega_max alpha_max T, and by at most omega_max^2, from its limit to zero.
     """
     natural = c.max_thrust / c.mass - c.max_acceleration
     pushed = (math.sqrt(3.0) * c.max_thrust / c.mass + natural) * period  # m/s
@@ -25,7 +25,7 @@ def scales(c: Limits, period: float) -> list[float]:
     turned = math.sqrt(3.0) * c.max_rate * period  # rad
     absorbed = (
         c.absorptivity * c.surface_area * c.solar_constant * (1 + c.albedo)
-    )  # W, without the Earth's warmth
+    )  # W, without the Earth's infrared radiation
     heated = absorbed / (c.node_mass * c.specific_heat) * period  # deg C
     spun = 2 * c.max_rate * c.max_torque / min(c.inertia) * period  # rad^2/s^2
     found = {
@@ -41,4 +41,4 @@ def scales(c: Limits, period: float) -> list[float]:
             ("angular_velocity_x", "angular_velocity_y", "angular_velocity_z"), min(spun, c.max_rate**2)
         ),
     }
-    return [found.get(name, 1.0) for name in CONSTRAINTS]  # a limit of your own: its unit
+    return [found.get(name, 1.0) for name in CONSTRAINTS]  # h of a limit of your own is left in its unit

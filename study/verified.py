@@ -1,4 +1,4 @@
-"""Which plant and filter have been verified, by a fingerprint of what the guarantee depends on."""
+"""Which plant and filter have been verified, by a fingerprint of all that the guarantee depends on."""
 
 import hashlib
 import json
@@ -23,8 +23,8 @@ from study.experiment import checked_filter, ignores_keep_clear
 from study.files import ROOT, read_json
 
 LIMITS = "limits of your own"
-GAINS = "rta/limits.py"  # which are no settings
-# Settings that came later: at their defaults they are what was flown before, and its fingerprint stays.
+GAINS = "rta/limits.py"  # holds the gains, which are not settings
+# Settings that were added later. Their defaults are what was flown before, so that the fingerprint stays the same.
 LATER = {
     "[inspection] hill_rotation",
     "[rta] unverified",
@@ -32,27 +32,28 @@ LATER = {
     LIMITS,
     *(f"[plant] {key}" for key in ("simulator", "j2", "drag", "actuators", "errors")),
 }
-POLICIES = ("random", "adversarial")  # each has to have flown
-EPISODES = 1000  # so many at least
-DURATION = 2000  # s, each at least so long
+POLICIES = ("random", "adversarial")  # a campaign of each is required
+EPISODES = 1000  # at least
+DURATION = 2000  # s, of each episode, at least
 PAGE = "docs/guides/changed_constants.md"
 CHECK = "docs/reference/filter.md"
-REPORTS = "runs/verification"  # below the working directory: a person's own; the shipped ones are below runs/reference
+REPORTS = "runs/verification"  # a person's own, below the working directory; shipped ones: runs/reference
 
 
 def gains_of() -> str:
-    """A digest of the gains and weights of the paper's limits."""
+    """Returns a digest of the gains and weights of the paper's limits."""
     table = [(name, limit.gains, limit.weight) for name, limit in PAPER.items()]
     return hashlib.sha256(json.dumps(table).encode()).hexdigest()[:12]
 
 
 def relevant(config: Config, own: Sequence[str] = OWN, gains: str | None = None) -> dict[str, Any]:
-    """What the guarantee depends on: values by their names in a configuration file, "[rta] period"; limits of your own.
+    """Returns what the guarantee depends on: values by name, such as "[rta] period", and the names of your own limits.
 
     Args:
-        gains: as of `gains_of`; None: today's.
+        gains: digest as from `gains_of`; None: today's.
 
-    Not the episode, nor the solver, whose answers are checked one by one. Of [chief] the hull and its attitude count.
+    The episode is not among the values, nor the solver, since each of its answers is checked. Of [chief] only the hull
+    and its attitude are.
     """
     plant = PlantParameters() if config.plant.is_nominal else config.plant
     tables = {
@@ -67,22 +68,22 @@ def relevant(config: Config, own: Sequence[str] = OWN, gains: str | None = None)
 
 
 def of_hull(chief: ChiefParameters) -> dict[str, Any]:
-    """What of a chief counts where its hull is what to stay clear of: of its file the digest, wherever it lies."""
+    """Returns the settings of a chief that matter for its hull; the file's digest stands for its mesh, not its path."""
     if chief.collision == "sphere":
         chief = ChiefParameters()
     mesh = chief.mesh
-    with suppress(ValueError):  # of a report whose mesh is not here
+    with suppress(ValueError):  # the mesh of a report may not be here
         mesh = mesh and with_digest(mesh).rpartition("#")[2]
     return {"mesh": mesh, "attitude": chief.attitude, "collision": chief.collision}
 
 
 def fingerprint(config: Config) -> str:
-    """The first 12 hexadecimal digits of `settings_digest`."""
+    """Returns the first 12 hexadecimal digits of `settings_digest`."""
     return settings_digest(config)[:12]
 
 
 def code_digest(config: Config) -> str:
-    """The first 12 hexadecimal digits of the SHA-256 of a configuration's filter as C, for one and for a batch."""
+    """Returns the first 12 hexadecimal digits of the SHA-256 of a filter in C, its forms for one and for a batch."""
     from kernels.build import header
     from kernels.cache import remembered
     from rta.fast.files import implementation
@@ -96,7 +97,7 @@ def code_digest(config: Config) -> str:
 
 
 def settings_digest(config: Config) -> str:
-    """SHA-256 of `relevant`, less a plant that is the model, bounds that are nil, a sphere, and LATER defaults."""
+    """Returns the SHA-256 of `relevant` without a nominal plant, zero bounds, a spherical chief and LATER defaults."""
     nil = {
         "[plant]": config.plant.is_nominal,
         "[uncertainty]": config.uncertainty.is_zero,
@@ -113,7 +114,7 @@ def settings_digest(config: Config) -> str:
 
 @dataclass(frozen=True)
 class Flown:
-    """A report of `verify` in a file, with its settings as they are read today."""
+    """Holds a report of `verify` from a file, with its settings as they are read today."""
 
     path: Path
     report: dict[str, Any]
@@ -121,28 +122,28 @@ class Flown:
 
     @cached_property
     def relevant(self) -> dict[str, Any]:
-        """See `relevant`; with the limits that were counted."""
+        """Returns `relevant` of the report's settings, with the limits that the report counted."""
         own = [name for name in self.report["violating_episodes"] if name not in (*PAPERS, "any")]
         return relevant(self.config, tuple(own), self.report.get("gains", ""))
 
     @property
     def violating(self) -> int:
-        """Episodes with a violation."""
+        """Returns the number of episodes with a violation."""
         return int(self.report["violating_episodes"]["any"])
 
     @property
     def clean(self) -> bool:
-        """No violation, and no program unsolved."""
+        """Tells whether the report has no violation and no unsolved program."""
         return not self.violating and not int(self.report["unsolved"])
 
     @property
     def large(self) -> bool:
-        """Long and many enough to count."""
+        """Tells whether the episodes are long and many enough to count."""
         return self.report["episodes"] >= EPISODES and self.report["campaign"]["duration"] >= DURATION
 
 
 def reports(filters: Sequence[str] = ("python",)) -> Iterator[Flown]:
-    """All reports at hand of filters in these forms, see `Campaign.filter`; a file that is none is passed over."""
+    """Yields all available reports of filters in these forms, see `Campaign.filter`; skips files of other content."""
     reference = ROOT / "runs" / "reference"
     shipped = [reference / name for name in ("verification", "frequency", "paper_filter")]
     for directory in (*shipped, Path(REPORTS)):
@@ -158,7 +159,7 @@ def reports(filters: Sequence[str] = ("python",)) -> Iterator[Flown]:
 
 
 def alike(values: dict[str, Any], flown: Sequence[Flown]) -> list[Flown]:
-    """The reports of the plant and filter of these `relevant` values."""
+    """Returns the reports of the plant and filter with these `relevant` values."""
     return [each for each in flown if each.relevant == values]
 
 
@@ -178,7 +179,7 @@ def warn_if_unchecked(config: Config) -> None:
 
 
 def unchecked(config: Config) -> str | None:
-    """What the filter of a configuration does not check, in a line; None: it checks everything."""
+    """Returns in a line what the filter of a configuration does not check; None: it checks everything."""
     if config.rta.filter == "paper":
         return f"not checked: motion and attitude; the paper's filter has no check; see {CHECK}"
     known = checked_filter(config).checked
@@ -187,9 +188,10 @@ def unchecked(config: Config) -> str | None:
 
 
 def why_unverified(config: Config) -> str | None:
-    """Says why a configuration does not count as verified, in a line; None where it does.
+    """Returns in a line why a configuration does not count as verified; None if it does.
 
-    It does where there is a report of each of POLICIES on its plant and filter, large and without a violation.
+    It does if each of POLICIES has a large report on its plant and filter, and no report has a violation or an unsolved
+    program.
     """
     flown = list(reports())
     same = alike(relevant(config), flown)
@@ -205,14 +207,14 @@ def why_unverified(config: Config) -> str | None:
 
 
 def verified(same: list[Flown]) -> bool:
-    """Whether reports of one plant and filter are enough: all clean, and a large one of each of POLICIES."""
+    """Tells whether reports of one plant and filter are enough: all clean, and a large one of each of POLICIES."""
     return all(each.clean for each in same) and {
         each.report["campaign"]["policy"] for each in same if each.large
     } >= set(POLICIES)
 
 
 def difference(config: Config, flown: list[Flown]) -> str:
-    """The first setting that differs from the nearest verified configuration, with both values, and how many more."""
+    """Returns the first difference from the closest verified configuration, with both values, and how many others."""
     ours = relevant(config)
 
     def names(other: Flown) -> list[str]:
@@ -234,13 +236,13 @@ def difference(config: Config, flown: list[Flown]) -> str:
 
 
 def in_toml(value: Any, number: str) -> str:
-    """A value as a configuration file has it, its numbers in the given format."""
+    """Returns a value as in a configuration file, its floats in the given format."""
     if isinstance(value, tuple):
         return f"[{', '.join(in_toml(each, number) for each in value)}]"
     return number.format(value) if isinstance(value, float) else json.dumps(value)
 
 
 def shown(path: str | Path) -> str:
-    """A path as it is written from the working directory, if it is below that."""
+    """Returns a path relative to the working directory if it is below this, else absolute."""
     path, here = Path(path).absolute(), Path.cwd()
     return str(path.relative_to(here) if path.is_relative_to(here) else path)

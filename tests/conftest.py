@@ -33,7 +33,7 @@ settings.load_profile("project")
 
 @pytest.fixture(scope="session", autouse=True)
 def kernels_cache(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A cache of what is recorded and built, in pytest's own, and libraries that are not optimised.
+    """Sets a cache for recorded and built code below pytest's own, and builds libraries without optimisation.
 
     Nothing is recorded or built twice, in no run: what is kept goes by the code, compiler and processor. `pytest
     --cache-clear` empties it. tests/kernels builds as users do; `test_optimisation_changes_no_bit_of_a_filter` there
@@ -71,7 +71,7 @@ def patience(monkeypatch):
 
 @pytest.fixture(scope="module")
 def small_pools() -> Iterator[None]:
-    """Few initial states drawn at once: whether one is safe is a search for a control where rows are of a hold."""
+    """Draws few initial states at once, because testing whether one is safe can be a search for a control."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(initial_state, "POOL", 64)
         yield
@@ -93,7 +93,7 @@ def loose_figures() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def c():
-    """The paper's constants."""
+    """Returns the paper's constants."""
     return InspectionParameters()
 
 
@@ -104,7 +104,7 @@ def generator():
 
 @pytest.fixture
 def random_states(generator):
-    """A function of the batch size B: states (16, B) such as occur in flight, float64."""
+    """Returns a function of the batch size B: states (16, B) such as occur in flight, float64."""
 
     def draw(batch):
         def uniform(low, high, *shape):
@@ -128,7 +128,7 @@ def random_states(generator):
 
 
 def made_up_episode(rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """A tour around the chief in the form of `simulate`, every value within its limit."""
+    """Returns a tour around the chief in the form of `simulate`, every value within its limit."""
     t = np.arange(0.0, 300.0, 10.0)
     ones, turn = np.ones_like(t), 2.0 * np.pi * t / t[-1]
     control = rng.uniform(-5e-4, 5e-4, (len(t), 6))
@@ -153,7 +153,7 @@ def made_up_episode(rng: np.random.Generator) -> dict[str, np.ndarray]:
 
 @pytest.fixture(scope="session")
 def shipped_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the shipped study and its report, without its runs."""
+    """Returns a copy of the shipped study and its report, without its runs."""
     source, study = ROOT / "runs/reference/from_nothing", tmp_path_factory.mktemp("shipped") / "study"
     shutil.copytree(source / "report", study / "report")
     for path in (*source.glob("*.json"), source / "config.toml"):
@@ -163,7 +163,7 @@ def shipped_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def flown() -> dict[str, np.ndarray]:
-    """A run of 290 s in rows of 10 s, tumbling, whose controls are corrected now and then.
+    """Returns a run of 290 s in rows of 10 s, tumbling, whose controls are corrected now and then.
 
     Its torque keeps a correction for a row in which the filter has nothing more to correct.
     """
@@ -186,7 +186,7 @@ def flown() -> dict[str, np.ndarray]:
 
 @pytest.fixture(scope="session")
 def flown_files(flown: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """The run, and another that ends sooner."""
+    """Returns the run, and another that ends sooner."""
     directory = tmp_path_factory.mktemp("runs")
     paths = directory / "one.npz", directory / "two.npz"
     np.savez(paths[0], **flown)

@@ -48,7 +48,7 @@ from study.flight.evaluation import play
 ROOT = Path(__file__).parents[1]
 FILE = Path(__file__).with_suffix(".json")
 AGENT = ROOT / "runs/reference/from_nothing/rta/seed0/policy.pt"
-SAMPLES, BLOCKS = 90, 10  # of a quantity, at least one of each row; of a row
+SAMPLES, BLOCKS = 90, 10  # samples of a quantity, at least one of each row; blocks of a row
 # By how much a quantity may move, in units of a row's largest magnitude. Other processors and versions of PyTorch round
 # otherwise. Behind each stands by how much it did on a processor with AVX-512: network, training and agent between any
 # two of MKL's kernels (MKL_CBWR unset, COMPATIBLE, AVX2, AVX512), filter and campaign from the recording to the
@@ -83,12 +83,12 @@ Recorded = dict[str, Any]
 
 
 def rows(names: tuple[str, ...], values: Any) -> Rows:
-    """Rows by name, where there are as many of both."""
+    """Returns rows by name, where there are as many of both."""
     return dict(zip(names, values, strict=True))
 
 
 def states(count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """States (16, N) and desired controls (6, N), some beyond the actuators' limits.
+    """Returns states (16, N) and desired controls (6, N), some beyond the actuators' limits.
 
     Of each 20, 8 are slow and well inside the zone, 8 within some limits and beyond others, 3 far beyond, and 1 has a
     number that is none.
@@ -123,7 +123,7 @@ def states(count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def filtered(count: int, period: float, config: str | None = None) -> Quantities:
-    """What the compiled filter answers to states, at a period and with the bounds of a shipped configuration."""
+    """Returns the compiled filter's answers at states, with a period and the bounds of a shipped configuration."""
     base = load(config, Config()) if config else Config()
     try:
         own = fast(filter_of(replace(base, rta=RtaParameters(period=period))), "cpu", count)
@@ -142,14 +142,14 @@ def filtered(count: int, period: float, config: str | None = None) -> Quantities
 
 
 def shipped_agent(cases: int, rta: bool) -> tuple[Policy, Experiment]:
-    """A shipped agent, and the experiment in which it flies so many cases."""
+    """Returns a shipped agent, and the experiment in which it flies `cases` cases."""
     policy, trained = load_policy(AGENT)
     trained = trained.with_solver("auto")
     return policy, Experiment(replace(trained, train=replace(trained.train, rta=rta, device="cpu")), cases)
 
 
 def decided(cases: int) -> Quantities:
-    """What a shipped agent observes and wants after one random step of common test cases, and what it is paid."""
+    """Returns a shipped agent's observation, action and reward after one random step of common test cases."""
     policy, experiment = shipped_agent(cases, rta=False)
     env = experiment.env(cases)
     env.start(*common_cases(experiment.config, cases, TEST_CASES))
@@ -164,7 +164,7 @@ def decided(cases: int) -> Quantities:
 
 
 def flown(cases: int, rta: bool) -> Quantities:
-    """What becomes of common test cases that a shipped agent flies."""
+    """Returns the outcomes of common test cases that a shipped agent flies."""
     record = play(*shipped_agent(cases, rta), cases, TEST_CASES)
     return {
         "means": rows(METRICS, record.metrics.mean(1)),
@@ -182,7 +182,7 @@ def command(*words: str) -> None:
 
 
 def verified(policy: str, *flags: str) -> Quantities:
-    """What a campaign of verification counts, its least h, and the controls of the episodes that these are of."""
+    """Returns a campaign's counts, its smallest h, and the controls of the episodes with these values."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "report.json"
         campaign = "--episodes", "64", "--duration", "300", "--device", "cpu", "--json", str(path)
@@ -200,7 +200,7 @@ def verified(policy: str, *flags: str) -> Quantities:
 
 
 def trained(*flags: str) -> Quantities:
-    """The weights of an agent after two updates, and the statistics of the last one."""
+    """Returns the weights of an agent after two updates, and the statistics of the last one."""
     with tempfile.TemporaryDirectory() as folder:
         settings, run = Path(folder) / "golden.toml", Path(folder) / "run"
         settings.write_text(TRAINING)
@@ -244,7 +244,7 @@ PARTS: dict[str, Callable[[], Quantities]] = {
 
 
 def recorded(quantity: Labels | Rows) -> Recorded:
-    """What golden.json holds of a quantity: of labels, counts and samples; of rows, see `recorded_row`."""
+    """Returns golden.json's entry for a quantity: counts and samples of labels, or for rows `recorded_row`."""
     if isinstance(quantity, list):
         bits = "\n".join(quantity).encode()
         samples = quantity[:: max(1, len(quantity) // SAMPLES)][:SAMPLES]
@@ -260,12 +260,12 @@ def recorded(quantity: Labels | Rows) -> Recorded:
 
 
 def digest(bits: bytes) -> str:
-    """Of bytes, 64 hexadecimal digits."""
+    """Returns the digest of bytes, 64 hexadecimal digits."""
     return hashlib.sha256(bits).hexdigest()
 
 
 def recorded_row(row: np.ndarray, count: int) -> Recorded:
-    """About so many samples of a row and, of a row that is longer, extremes, mean and totals of its finite numbers."""
+    """Returns about so many samples of a row and, for a longer row, extremes, mean and totals of its finite numbers."""
     if len(row) <= max(count, 2 * BLOCKS):
         return {"samples": row.tolist()}
     finite = row[np.isfinite(row)]
@@ -280,7 +280,7 @@ def recorded_row(row: np.ndarray, count: int) -> Recorded:
 
 
 def moved(old: Recorded, new: Recorded, tolerance: float) -> tuple[bool, str]:
-    """Whether a quantity is within its tolerance, and in words what has moved."""
+    """Tells whether a quantity is within its tolerance, and in words what has moved."""
     if old["digest"] == new["digest"]:
         return True, SAME
     if old.keys() != new.keys() or old.get("rows", {}).keys() != new.get("rows", {}).keys():
@@ -309,7 +309,7 @@ def moved(old: Recorded, new: Recorded, tolerance: float) -> tuple[bool, str]:
 
 
 def moved_labels(old: Recorded, new: Recorded) -> str:
-    """What has moved of labels, in words."""
+    """Returns in words which labels have moved."""
     then, now = old["counts"], new["counts"]
     changes = [
         f"{then.get(label, 0):,} {label} -> {now.get(label, 0):,}"
@@ -322,7 +322,7 @@ def moved_labels(old: Recorded, new: Recorded) -> str:
 
 
 def moves_of(old: Recorded, new: Recorded) -> Iterator[tuple[float, str, str, float, float]]:
-    """Of each sample and total: by how much it moved, which of the two it is, its row, its number then and now."""
+    """Yields for each sample and total by how much it moved, its kind, its row, and its numbers then and now."""
     for name, then in old.items():
         now = new[name]
         finite = [abs(value) for value in then["samples"] if np.isfinite(value)]
@@ -351,7 +351,7 @@ def compare(name: str, old: dict[str, Recorded], new: dict[str, Recorded]) -> li
 
 
 def text_of(golden: dict[str, dict[str, Recorded]]) -> str:
-    """The content of golden.json, a line per row, so that a difference of two versions can be read."""
+    """Returns the content of golden.json, a line per row, so that a difference of two versions can be read."""
 
     def lines(value: Any, depth: int) -> str:
         if depth == 0 or not isinstance(value, dict):

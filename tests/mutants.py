@@ -112,7 +112,7 @@ ALL = ("-m", "campaign or not campaign")  # of the tests
 
 
 class Mutant(NamedTuple):
-    """A part of a file that is replaced by another, and the test that has to find that.
+    """Holds a replacement for a part of a file, and the test that must detect it.
 
     Attributes:
         begin, end: the part's place in the file's text; old, new: the texts.
@@ -155,7 +155,7 @@ def mutants_of(path: str, name: str, test: str, text: str) -> list[Mutant]:
     lines = [0]
     for line in text.encode().split(b"\n"):
         lines.append(lines[-1] + len(line) + 1)
-    code = text.encode()  # of which ast counts
+    code = text.encode()  # ast counts bytes
 
     def begin(node: ast.expr) -> int:
         return lines[node.lineno - 1] + node.col_offset
@@ -250,7 +250,7 @@ def tested(test: str, tree: Path, patience: float | None = None) -> tuple[int, f
 
 
 class Log:
-    """What each mutant came to: a line each on stdout and in a file, in which a run that stopped finds it again."""
+    """Writes the outcome of each mutant as a line on stdout and in a file, from which a stopped run continues."""
 
     def __init__(self, path: Path | None) -> None:
         self.path = path

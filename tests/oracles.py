@@ -37,13 +37,13 @@ PSM_TOLERANCE = 1e-4  # m; measured: at most 1e-5
 
 
 def hamilton(a: ndarray, b: ndarray) -> ndarray:
-    """The Hamilton product of quaternions (4, B), scalar last."""
+    """Returns the Hamilton product of quaternions (4, B), scalar last."""
     vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3], axis=0)
     return np.concatenate((vector, (a[3] * b[3] - (a[:3] * b[:3]).sum(0))[None]))
 
 
 def body_axis(q: ndarray, axis: int) -> ndarray:
-    """Hill-frame components (3, B) of a principal axis, H(H(q, n), q*)."""
+    """Returns Hill-frame components (3, B) of a principal axis, H(H(q, n), q*)."""
     n = np.zeros_like(q)
     n[axis] = 1.0
     return hamilton(hamilton(q, n), np.concatenate((-q[:3], q[3:])))[:3]
@@ -58,12 +58,12 @@ def positive(a: ndarray) -> ndarray:
 
 
 def root(z: ndarray) -> ndarray:
-    """sqrt(2 a_max z), continued oddly to negative distances."""
+    """Returns sqrt(2 a_max z), continued oddly to negative distances."""
     return math.sqrt(2 * A_MAX) * np.sign(z) * np.sqrt(np.abs(z))
 
 
 def cosines(x: ndarray, panel: float = -1.0) -> tuple[ndarray, ndarray, ndarray, ndarray]:
-    """Of boresight and Sun, panel and Sun, the -n_y side and Sun, the -n_y side and Earth."""
+    """Returns cosines of boresight and Sun, panel and Sun, the -n_y side and Sun, the -n_y side and Earth."""
     n_x, n_y = body_axis(x[6:10], 0), body_axis(x[6:10], 1)
     boresight = n_x[0] * np.cos(x[15]) + n_x[1] * np.sin(x[15])
     side = -n_y[0] * np.cos(x[15]) - n_y[1] * np.sin(x[15])
@@ -71,7 +71,7 @@ def cosines(x: ndarray, panel: float = -1.0) -> tuple[ndarray, ndarray, ndarray,
 
 
 def orientation(x: ndarray, panel: float = -1.0) -> ndarray:
-    """Attitude exclusion in rad, temperature in deg C and battery in kJ, (3, B)."""
+    """Returns attitude exclusion in rad, temperature in deg C and battery in kJ, (3, B)."""
     boresight, on_panel, side_sun, side_earth = cosines(x, panel)
     exclusion = np.arccos(boresight) - np.pi / 6 - np.pi / 18
     sun, earth = (positive(np.pi / 2 - np.arccos(cosine)) for cosine in (side_sun, side_earth))
@@ -81,7 +81,7 @@ def orientation(x: ndarray, panel: float = -1.0) -> ndarray:
 
 
 def coast(x: ndarray, t: ndarray) -> ndarray:
-    """The paper's free-flight trajectory, (3, ...)."""
+    """Returns the paper's free-flight trajectory, (3, ...)."""
     n, s, c = MEAN_MOTION, np.sin(MEAN_MOTION * t), np.cos(MEAN_MOTION * t)
     return np.stack(
         (
@@ -97,7 +97,7 @@ def speed_limit(x: ndarray) -> ndarray:
 
 
 def passive_safety(x: ndarray, start: float = 0.0, end: float = 500.0) -> ndarray:
-    """inf |p(t)| - 15 m over [start, end] s, (B,): dense samples, then ever denser ones about the best."""
+    """Returns inf |p(t)| - 15 m over [start, end] s, (B,): by dense samples, then denser ones about the best."""
     low, high = np.full(x.shape[1], start), np.full(x.shape[1], end)
     for count in (501, 41, 41, 41, 41, 41):
         t = np.linspace(low, high, count)
@@ -111,7 +111,7 @@ def passive_safety(x: ndarray, start: float = 0.0, end: float = 500.0) -> ndarra
 
 
 def paper(x: ndarray) -> ndarray:
-    """All 13 in the order of Table 3, (13, B)."""
+    """Returns all 13 constraints in the order of Table 3, (13, B)."""
     distance, speed = length(x[:3]), length(x[3:6])
     radial = (x[:3] * x[3:6]).sum(0) / distance
     return np.stack(
@@ -128,7 +128,7 @@ def paper(x: ndarray) -> ndarray:
 
 
 def states(count: int, seed: int = 0) -> ndarray:
-    """(16, count) with every constraint on both sides of its limit."""
+    """Returns states (16, count) with every constraint on both sides of its limit."""
     rng = np.random.default_rng(seed)
     p, v = rng.standard_normal((2, 3, count))
     p *= rng.choice((5.0, 20.0, 100.0, 750.0), count) * rng.uniform(1, 1.2, count) / length(p)
@@ -143,7 +143,7 @@ def tensor(x: ndarray) -> torch.Tensor:
 
 
 def at_the_edge(count: int, distance: float, within: float) -> ndarray:
-    """(16, count) states no further from a distance from the chief than `within`."""
+    """Returns states (16, count) whose distance from the chief differs from the given one by at most `within`."""
     x = states(count, seed=8)
     x[:3] *= (distance + np.linspace(-within, within, count)) / length(x[:3])
     return x
@@ -157,7 +157,7 @@ def panel(c: InspectionParameters) -> float:
 
 
 def drift(x: ndarray, c: InspectionParameters) -> ndarray:
-    """The paper's f(x), (16, B)."""
+    """Returns the paper's f(x), (16, B)."""
     n, (q1, q2, q3, q4), (w1, w2, w3), (j1, j2, j3) = MEAN_MOTION, x[6:10], x[10:13], c.inertia
     _, on_panel, sun, earth = cosines(x, panel(c))
     view = 0.8 * positive(earth)
@@ -197,12 +197,12 @@ def turn(x: ndarray, axis: int, c: InspectionParameters) -> ndarray:
 
 
 def slope(h: Callable[[ndarray], ndarray], x: ndarray, direction: ndarray, step: float) -> ndarray:
-    """Central difference of h along a direction."""
+    """Returns central difference of h along a direction."""
     return (h(x + step * direction) - h(x - step * direction)) / (2 * step)
 
 
 def flying(count: int = 100) -> ndarray:
-    """(16, count) states in flight, clear of the kinks of the paper's constraints and of free falls into the centre."""
+    """Returns states (16, count) in flight, clear of the constraints' kinks and of free falls into the centre."""
     rng = np.random.default_rng(1)
     p, v, q = rng.standard_normal((3, 4, 10 * count))
     p, v = (a[:3] / length(a[:3]) for a in (p, v))
@@ -234,13 +234,13 @@ AXES = {"x": 0, "y": 1, "z": 2}
 
 
 def hypercube(count: int, seed: int, c: InspectionParameters) -> Tensor:
-    """States (16, count) all over the limits and around them."""
+    """Returns states (16, count) all over the limits and around them."""
     sampler = qmc.LatinHypercube(17, rng=np.random.default_rng(seed))
     return states_of(torch.from_numpy(sampler.random(count).T.copy()), c)[0]
 
 
 def free_flight(p: ndarray, v: ndarray, t: ndarray, n: float) -> ndarray:
-    """Clohessy and Wiltshire's closed form, (3, ...)."""
+    """Returns Clohessy and Wiltshire's closed form, (3, ...)."""
     s, co = np.sin(n * t), np.cos(n * t)
     return np.stack(
         (
@@ -252,7 +252,7 @@ def free_flight(p: ndarray, v: ndarray, t: ndarray, n: float) -> ndarray:
 
 
 def free_clearance(p: ndarray, v: ndarray, c: InspectionParameters, spacing: float = 2.0) -> ndarray:
-    """m beyond the sphere in free flight, by a grid of times: never below the infimum."""
+    """Returns m beyond the sphere in free flight, by a grid of times: never below the infimum."""
     t = np.arange(0.0, c.passive_safety_horizon + 1e-9, spacing)
     nearest = np.full(p.shape[1:], np.inf)
     for moment in t:
@@ -261,7 +261,7 @@ def free_clearance(p: ndarray, v: ndarray, c: InspectionParameters, spacing: flo
 
 
 def motion(p: ndarray, v: ndarray, c: InspectionParameters, spacing: float | None = 2.0) -> ndarray:
-    """The seven limits of motion by the paper, of velocity v_max - |v_i|; no spacing: not passive safety."""
+    """Returns the paper's 7 limits of motion, velocity as v_max - |v_i|; no spacing: passive safety is infinite."""
     n, fastest = c.mean_motion, min(c.max_speed, c.docking_speed + c.speed_slope * c.max_distance)
     a_max = c.max_thrust / c.mass - 3 * n**2 * c.max_distance - 2 * n * fastest
     distance, speed = length(p), length(v)
@@ -283,7 +283,7 @@ def motion(p: ndarray, v: ndarray, c: InspectionParameters, spacing: float | Non
 
 
 def attitude(x: ndarray, c: InspectionParameters) -> ndarray:
-    """Exclusion in rad, temperature in deg C, battery in kJ, and what is left of the rates in rad/s."""
+    """Returns exclusion in rad, temperature in deg C, battery in kJ, and the remaining margin of the rates in rad/s."""
     sun = np.stack((np.cos(x[15]), np.sin(x[15]), np.zeros_like(x[15])))
     earth = np.zeros_like(sun)
     earth[0] = -1.0
@@ -305,7 +305,7 @@ def attitude(x: ndarray, c: InspectionParameters) -> ndarray:
 
 @functools.cache
 def stepping(seconds: float, c: InspectionParameters, turns: bool | None) -> Callable[..., list[Tensor]]:
-    """`step`, in C where kernels are here, with `turns` of bodies: mass, moments and push, (7, B).
+    """Returns `step`, in C if kernels are here, with `turns` of bodies: mass, moments and push, (7, B).
 
     turns: in a frame that turns, or not.
     """
@@ -325,7 +325,7 @@ def stepping(seconds: float, c: InspectionParameters, turns: bool | None) -> Cal
 
 
 def moved(x: Tensor, u: Tensor, seconds: float, c: InspectionParameters, body: Body | None = None) -> Tensor:
-    """The states (16, B) after controls (6, B) have acted for some s; body: one whose rates nothing saturates."""
+    """Returns the states (16, B) after controls (6, B) have acted for some s; body: one without saturated rates."""
     if body is None:
         return stepping(seconds, c, None)(x, u)[0]
     assert not body.saturates
@@ -340,7 +340,7 @@ INF = np.inf
 
 @dataclass(frozen=True)
 class Programs:
-    """N programs of three controls: desired (N, 3), a (N, R, 3), b (N, R), weight (N, R) of slack, 0: must hold."""
+    """Holds N programs of three controls: desired (N, 3), a (N, R, 3), b (N, R), slack weight (N, R), 0: must hold."""
 
     desired: ndarray
     a: ndarray
@@ -348,22 +348,22 @@ class Programs:
     weight: ndarray
 
     def tensors(self) -> list[Tensor]:
-        """With the batch last, as `rta.fast.active_set.solve` takes them."""
+        """Returns the tensors with the batch last, as `rta.fast.active_set.solve` takes them."""
         parts = self.desired, self.a, self.b, self.weight
         return [torch.tensor(x).movedim(0, -1).contiguous() for x in parts]
 
     def of(self, chosen: ndarray) -> "Programs":
-        """Some of them."""
+        """Returns some of the programs."""
         return Programs(*(part[chosen] for part in vars(self).values()))
 
 
 def lhs(u: ndarray, a: ndarray, b: ndarray) -> ndarray:
-    """a u + b of one program or of N."""
+    """Returns a u + b of one program or of N."""
     return (a @ u[..., None])[..., 0] + b
 
 
 def projection(programs: Programs) -> ndarray:
-    """The nearest feasible points (N, 3), by trying every set of up to three active rows and bounds."""
+    """Returns the nearest feasible points (N, 3), by trying every set of up to three active rows and bounds."""
     count = len(programs.desired)
     box = np.concatenate((np.eye(3), -np.eye(3)))[None].repeat(count, 0)
     a = np.concatenate((programs.a, box), 1)
@@ -384,7 +384,7 @@ def projection(programs: Programs) -> ndarray:
 
 
 def least_distance(desired: ndarray, a: ndarray, b: ndarray, weight: ndarray) -> ndarray:
-    """The control (3,) of one program with slack, by Lawson and Hanson's reduction to non-negative least squares.
+    """Returns the control (3,) of one program with slack, by Lawson and Hanson's non-negative least squares.
 
     With z = (u - desired, sqrt(weight) delta) the program is: the shortest z with G z >= h. Weight: infinite for a row
     that must hold.
@@ -401,7 +401,7 @@ def least_distance(desired: ndarray, a: ndarray, b: ndarray, weight: ndarray) ->
 
 
 def feasible(a: ndarray, b: ndarray) -> ndarray:
-    """(N,) bool: some control in the box satisfies a u + b >= 0, (N, R, 3) and (N, R), by linear programming.
+    """Tells where (N,) a control in the box satisfies a u + b >= 0, (N, R, 3) and (N, R), by linear programming.
 
     One program for all: the sum of the largest t <= 1 with a u + b >= t.
     """
@@ -414,20 +414,20 @@ def feasible(a: ndarray, b: ndarray) -> ndarray:
 
 
 def given_slack(programs: Programs) -> ndarray:
-    """Slack weights (N, R), infinite where a row is held: none is given where all rows can hold at once."""
+    """Returns slack weights (N, R), infinite for rows that must hold: all rows, if all can hold at once."""
     can = feasible(programs.a, programs.b)[:, None]
     return np.where(can | (programs.weight == 0.0), INF, programs.weight)
 
 
 def with_slack(programs: Programs, given: ndarray | None = None) -> ndarray:
-    """The reference's controls (N, 3), with `given_slack` unless that is known."""
+    """Returns the reference's controls (N, 3), with `given_slack` unless that is known."""
     given = given_slack(programs) if given is None else given
     parts = zip(programs.desired, programs.a, programs.b, given, strict=True)
     return np.array([least_distance(*program) for program in parts])
 
 
 def by_nnls(a: ndarray, b: ndarray, desired: ndarray, weight: float = WEIGHT) -> ndarray:
-    """The controls (6,) of one program of the paper, by the dual of its least-distance form.
+    """Returns the controls (6,) of one program of the paper, by the dual of its least-distance form.
 
     Lawson and Hanson 1974, ch. 23. Controls are in units of limits; the first of its rows must hold, and all of them
     where the weight of slack is infinite.
@@ -449,7 +449,7 @@ def by_nnls(a: ndarray, b: ndarray, desired: ndarray, weight: float = WEIGHT) ->
 
 
 def last_psi(x: ndarray) -> ndarray:
-    """Psi_0 of relative degree one and Psi_1 = dh/dt + k_1 h of degree two, by complex steps, (13, B)."""
+    """Returns Psi_0 of relative degree one and Psi_1 = dh/dt + k_1 h of degree two, by complex steps, (13, B)."""
     psi = paper(x)
     k = np.array([[limit.gains[0]] for limit in PAPER.values()])[7:10]
     along = orientation(x + 1e-30j * drift(x, C), panel(C)).imag / 1e-30

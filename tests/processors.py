@@ -18,7 +18,7 @@ from pathlib import Path
 import torch
 
 ROOT = Path(__file__).parents[1]
-# what flies or trains a network, or compares one with what other code or another processor made of it
+# tests that fly or train a network, or compare its results with those of other code or another processor
 SENSITIVE = (
     "test_golden.py",
     "ppo",
@@ -44,7 +44,7 @@ THREADS = "TEST_THREADS"  # of each process of tests, one unless this variable s
 
 
 def environment(setting: str) -> dict[str, str]:
-    """The variables of a process that computes under a setting; its threads do not wait for each other by spinning."""
+    """Returns the variables of a process that computes under a setting; its threads do not spin while they wait."""
     names = "MKL_CBWR", "ATEN_CPU_CAPABILITY", THREADS
     own = dict(zip(names, setting.split("/"), strict=True)) | {"OMP_WAIT_POLICY": "passive"}
     return {name: value for name, value in (os.environ | own).items() if value != "unset"}

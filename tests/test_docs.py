@@ -19,7 +19,7 @@ from study.config import StudyConfig
 ROOT = Path(main.__file__).parent
 COMMANDS_PAGE = "reference/commands"  # whose commands train for hours
 READERS = "README"  # whose commands print much
-EXPORT = "guides/export"  # which prints how far ONNX Runtime is from PyTorch, a matter of the processor
+EXPORT = "guides/export"  # prints ONNX Runtime's distance from PyTorch, which depends on the processor
 PAGES = sorted(
     str(page.relative_to(ROOT / "docs").with_suffix(""))
     for page in (ROOT / "docs").rglob("*.md")
@@ -31,7 +31,7 @@ COMMAND = "python main.py "
 
 
 def blocks(page: str) -> list[tuple[str, str, str]]:
-    """(language, content, the text before it) of each fenced block."""
+    """Returns language, content and the text before it for each fenced block."""
     text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
     return [(match[2], match[3], match[1]) for match in re.finditer(r"(?s)(.*?)```(\w+)\n(.*?)```", text)]
 
@@ -61,7 +61,7 @@ def numbers(text: str) -> list[float]:
 
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A directory that holds what a checkout has, to write in."""
+    """Makes a directory with a checkout's content to write in."""
     (tmp_path / "runs").mkdir()
     for name in ("runs/reference", "configs"):
         (tmp_path / name).symlink_to(ROOT / name)

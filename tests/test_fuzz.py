@@ -95,18 +95,18 @@ def make_files() -> None:
 
 
 def flags_of(command: str) -> list[argparse.Action]:
-    """A command's flags, less --help, and its positional arguments."""
+    """Returns a command's flags, less --help, and its positional arguments."""
     commands = main.build_parser()._subparsers._group_actions[0].choices
     return [action for action in commands[command]._actions if action.dest != "help"]
 
 
 def is_output(flag: argparse.Action) -> bool:
-    """Whether it names a file that is written."""
+    """Tells whether a flag names a file that is written."""
     return getattr(flag.type, "__qualname__", "").startswith("to_write")
 
 
 def values_of(words: list[str], flag: argparse.Action) -> list[int]:
-    """Where a flag's values stand among the words of a call."""
+    """Returns the places of a flag's values among the words of a call."""
     if not flag.option_strings:
         return [1]
     return [i + 1 for i, word in enumerate(words[:-1]) if word in flag.option_strings]
@@ -204,7 +204,7 @@ def hostile_file(draw: random.Random, words: list[str]) -> None:
 
 
 def hostile_call(draw: random.Random) -> list[str]:
-    """The words of one call; what files it needs are in the working directory."""
+    """Returns the words of one call; what files it needs are in the working directory."""
     words = draw.choice(BASES).split()
     kinds = (hostile_flag, hostile_flag, hostile_words, hostile_output, hostile_key, hostile_file)
     for _ in range(draw.choice((1, 1, 2, 3))):
@@ -213,7 +213,7 @@ def hostile_call(draw: random.Random) -> list[str]:
 
 
 class TooLong(BaseException):
-    """A call has not ended within LONGEST."""
+    """Signals that a call has not ended within LONGEST."""
 
 
 @contextlib.contextmanager
@@ -233,14 +233,14 @@ def at_most(seconds: int) -> Iterator[None]:
 
 
 def contents() -> dict[str, bytes]:
-    """The inputs, those in directories among them."""
+    """Returns the inputs, those in directories among them."""
     return {name: Path(name).read_bytes() for name in (*INPUTS, "garbage", "directory/thesis.tex")}
 
 
 def complaint(words: list[str]) -> str:
-    """What is wrong with how a call ends, empty if nothing is."""
+    """Returns what is wrong with a call's end, empty if nothing is."""
     before = contents()
-    if words[0] == "simulate":  # which may replace a run of its own that it does not read
+    if words[0] == "simulate":  # simulate may replace this run, which it does not read
         del before["r.npz"]
     out, err = io.StringIO(), io.StringIO()
     try:
@@ -263,7 +263,7 @@ def complaint(words: list[str]) -> str:
 
 
 def complaints(seed: int, count: int) -> Iterator[str]:
-    """Of so many calls those that end badly, in a directory of their own."""
+    """Yields the calls, out of a number of them, that end badly, in a directory of their own."""
     draw, here = random.Random(seed), os.getcwd()
     # --cache-dir sets a variable, which tests that follow would build with
     with tempfile.TemporaryDirectory() as directory, mock.patch.dict(os.environ):

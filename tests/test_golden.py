@@ -12,13 +12,13 @@ PART = "filter/quick"
 
 @pytest.fixture(scope="module")
 def answers() -> golden.Quantities:
-    """What the filter answers."""
+    """Returns the filter's answers."""
     return golden.PARTS[PART]()
 
 
 @pytest.fixture
 def planted(answers, monkeypatch, tmp_path) -> golden.Quantities:
-    """A copy of it to plant changes in, which the program computes, beside a copy of golden.json."""
+    """Returns a copy for planted changes, which the program computes, beside a copy of golden.json."""
     path = tmp_path / "golden.json"
     path.write_text(golden.FILE.read_text())
     changed = copy.deepcopy(answers)

@@ -16,12 +16,12 @@ DEFAULT = re.compile(r" \(default: (.*)\)$")
 
 
 def parsers() -> dict[str, argparse.ArgumentParser]:
-    """The parser of each command."""
+    """Returns the parser of each command."""
     return main.build_parser()._subparsers._group_actions[0].choices  # type: ignore[union-attr, return-value]
 
 
 def flags(command: str) -> Iterator[tuple[argparse.Action, str]]:
-    """The flags of a command that --help shows, with the default that stands there, if one does."""
+    """Yields the flags that a command's --help shows, each with the default given there, or ""."""
     for action in parsers()[command]._actions:
         if action.help and action.help != argparse.SUPPRESS and action.dest != "help":
             found = DEFAULT.search(action.help)
@@ -29,7 +29,7 @@ def flags(command: str) -> Iterator[tuple[argparse.Action, str]]:
 
 
 def settings() -> dict[str, Any]:
-    """The default of every setting by table and key."""
+    """Returns the default of every setting by table and key."""
     tables = (vars(Config()) | vars(StudyConfig())).items()
     return {
         f"{name}.{key}": getattr(table, key)

@@ -35,7 +35,7 @@ EPISODE = Path(main.__file__).parent / "runs/reference/from_nothing/report/episo
 
 
 def write_inputs(directory: Path) -> dict[str, Path]:
-    """A valid input of every kind: an agent, a state, controls, states, a configuration and a run; by name."""
+    """Writes a valid input of every kind: agent, state, controls, states, configuration, run; returns paths by name."""
     paths = {name: directory / name for name in ("p.pt", "s.json", "u.npy", "x.npz", "c.toml", "r.npz")}
     paths["p.pt"].write_bytes(POLICY.read_bytes())
     paths["s.json"].write_text(json.dumps(STATE))
@@ -48,7 +48,7 @@ def write_inputs(directory: Path) -> dict[str, Path]:
 
 
 def call(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr."""
+    """Runs a command; returns exit code, stdout and stderr."""
     code = main.main(arguments)
     out, err = capsys.readouterr()
     return code, out, err
@@ -82,7 +82,7 @@ def test_a_command_whose_wing_was_taken_off_says_so(
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The directory of a run that was never trained, of short episodes: nothing here depends on what they end in."""
+    """Returns the directory of an untrained run with short episodes, because nothing here depends on their outcome."""
     directory = tmp_path_factory.mktemp("runs") / "run"
     settings = {
         "train": {"rta": False, "num_envs": 4, "rollout_steps": 4, "interactions": 32, "device": "cpu"},

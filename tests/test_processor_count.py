@@ -10,7 +10,7 @@ import processors
 
 
 def groups(directory: Path, files: dict[str, str]) -> dict[str, Path]:
-    """Made-up files of /proc/self and /sys/fs/cgroup, the arguments of `quota`."""
+    """Returns made-up files of /proc/self and /sys/fs/cgroup, the arguments of `quota`."""
     for name, text in files.items():
         (directory / name).parent.mkdir(parents=True, exist_ok=True)
         (directory / name).write_text(text)

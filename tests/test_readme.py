@@ -23,7 +23,7 @@ def text(page: str) -> str:
     return (ROOT / page).read_text(encoding="utf-8")
 
 
-# what the words say of the results
+# statements of the pages about the results
 
 
 CAMPAIGNS = sorted(
@@ -47,7 +47,7 @@ def test_every_campaign_kept_every_limit(name: str) -> None:
 
 
 def anchors(page: Path) -> set[str]:
-    """The names that GitHub gives to a page's titles."""
+    """Returns the names that GitHub gives to a page's titles."""
     titles = re.findall(r"(?m)^#+ (.*)$", page.read_text(encoding="utf-8"))
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
@@ -80,7 +80,7 @@ def test_every_page_that_the_code_names_is_there() -> None:
 
 
 def commands(page: str) -> Iterator[list[str]]:
-    """The words of every command on a page, and of every line of a program there, in their order."""
+    """Yields the words of every command on a page, and of every line of a program there, in their order."""
     for line in text(page).replace("\\\n", " ").splitlines():
         for command in line.split("&&"):
             if re.match(r"\s*(python (?!-m timeit)|torchrun |tensorboard )", command):

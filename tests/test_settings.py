@@ -28,7 +28,7 @@ from study.config import Config, StudyConfig
 
 @dataclass(frozen=True)
 class Table(Settings):
-    """One of each kind."""
+    """Holds one setting of each kind."""
 
     mass: float = setting(2.0, "kg, of the body", above=0, note="Body")
     offset: float = setting(0.0, "m", least=None)
@@ -82,7 +82,7 @@ def test_what_is_not_allowed_is_refused_with_what_is(values: dict[str, Any], sai
 def test_a_table_below_others_has_their_settings_and_checks() -> None:
     @dataclass(frozen=True)
     class More(Table):
-        """With one more."""
+        """Adds a setting to Table."""
 
         last: float = setting(1.0, "s")
 
@@ -106,7 +106,7 @@ EVERY = [
 
 
 def beyond(rule: Any, kind: type) -> list[Any]:
-    """Values beyond each bound of a setting, and of other types."""
+    """Returns values beyond each bound of a setting, and of other types."""
     if rule.among or kind in (str, bool):
         return [3.5, *(["no such word"] if rule.among else [])]
     found: list[Any] = ["word", True]

@@ -41,7 +41,7 @@ READERS = (
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An own working directory."""
+    """Returns an own working directory."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -41,7 +41,7 @@ TESTS = (
 
 
 def imported(path: Path) -> Iterator[str]:
-    """The modules that a file imports where it is imported itself, as folders."""
+    """Yields the modules that a file imports when it is imported itself, as folders."""
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.ImportFrom) and node.module:
             yield from (f"{node.module}.{name.name}".replace(".", "/") for name in node.names)
@@ -99,7 +99,7 @@ def stands(wing: str, every_test: bool) -> bool:
 
 
 def here(folder: Path) -> list[str]:
-    """The TESTS that are there."""
+    """Returns the TESTS that are there."""
     return [each for each in TESTS if (folder / each).exists()]
 
 

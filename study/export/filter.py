@@ -22,13 +22,13 @@ from study.verified import (
 
 
 def export(config: Config, directory: Path, prefix: str = NAME) -> str:
-    """Writes the filter of a configuration into a directory, which may hold an older one; returns what to say of it.
+    """Writes the filter of a configuration into a directory, which may hold an older one; returns a message about it.
 
     Args:
-        prefix: as of `rta.fast.files.write`.
+        prefix: as in `rta.fast.files.write`.
 
     Raises:
-        InputError: a part of the configuration does not fit, the directory holds anything else, or cannot be written.
+        InputError: the configuration cannot be used, the directory holds other files, or it cannot be written.
     """
     with as_input_error("--prefix", ValueError):
         check_prefix(prefix)
@@ -43,7 +43,7 @@ def export(config: Config, directory: Path, prefix: str = NAME) -> str:
 
 
 def said_of(config: Config) -> str:
-    """What the filter of a configuration does not check, which campaigns have flown it, and what came out."""
+    """Returns what the filter of a configuration does not check, which campaigns have flown it, and their results."""
     own = fingerprint(config)
     same = alike(relevant(config), list(reports(("python", "c"))))
     counted = [each for each in same if each.large or not each.clean]
@@ -63,7 +63,7 @@ def said_of(config: Config) -> str:
 
 
 def of_campaign(flown: Flown) -> str:
-    """A campaign in a line."""
+    """Describes a campaign in a line."""
     report, campaign = flown.report, flown.report["campaign"]
     form = {"python": "in Python", "c": "in C"}
     return (

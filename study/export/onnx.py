@@ -15,24 +15,24 @@ from inspection.observation import Component, components
 from ppo.network import Policy
 from study.errors import ExportError
 
-# what runtimes of the last years read; tanh and affine maps need nothing newer
+# runtimes of the last years read these versions; tanh and affine maps need nothing newer
 OPSET, IR_VERSION = 17, 8
 SAMPLES = 1000  # observations of the check
 TOLERANCE = 1e-5
 
 
 def to_onnx(policy: Policy, c: InspectionParameters, chief: ChiefParameters) -> bytes:
-    """The network of a policy of one seed, written layer by layer: its mean action, as `Policy.mean_action`.
+    """Writes the network of a policy of one seed, layer by layer: its mean action, as `Policy.mean_action`.
 
     The input `observation` (batch, 26; as many as observed) and the output `control` (batch, 6) are float32 and divided
-    by their scales. The metadata hold both components' names, units and scales as JSON lists, [inspection] and [chief]
-    of the training, and action_period, in s.
+    by their scales. The metadata hold names, units and scales of the components of both as JSON lists, [inspection] and
+    [chief] of the training, and action_period in s.
     """
     layers = list(policy.network.layers)
     weights, nodes = [], []
     for i, layer in enumerate(layers):
         last = i == len(layers) - 1
-        columns = slice(CONTROL_SIZE if last else None)  # the last layer's others are the log-std's
+        columns = slice(CONTROL_SIZE if last else None)  # the last layer's others give the log-std
         for name, value in (("weight", layer.weight[0, :, columns]), ("bias", layer.bias[0, 0, columns])):
             weights.append(numpy_helper.from_array(value.detach().cpu().numpy(), f"{name}_{i}"))
         inputs = "observation" if i == 0 else f"hidden_{i}"
@@ -55,7 +55,7 @@ def to_onnx(policy: Policy, c: InspectionParameters, chief: ChiefParameters) -> 
 
 
 def shaping(policy: Policy) -> tuple[list[NodeProto], list[TensorProto]]:
-    """The nodes from "action" to "control" and their constants, as `Policy.shaped`."""
+    """Returns the nodes from "action" to "control" and their constants, as `Policy.shaped`."""
     values = {"power": policy.power}
     steps = [
         ("Abs", ["action"], "size"),
@@ -68,7 +68,7 @@ def shaping(policy: Policy) -> tuple[list[NodeProto], list[TensorProto]]:
 
 
 def metadata(c: InspectionParameters, chief: ChiefParameters) -> dict[str, str]:
-    """What a file says of its numbers: component = number * scale, in unit."""
+    """Returns the description of a file's numbers: component = number * scale, in unit."""
     controls = [
         Component(name, "N" if name.startswith("thrust") else "N m", limit)
         for name, limit in zip(CONTROLS, c.control_limit, strict=True)
@@ -83,10 +83,10 @@ def metadata(c: InspectionParameters, chief: ChiefParameters) -> dict[str, str]:
 
 
 def check(model: bytes, policy: Policy) -> float:
-    """The largest difference between ONNX Runtime's controls and PyTorch's, at observations of unit variance.
+    """Returns the largest difference between ONNX Runtime's controls and PyTorch's, at observations of unit variance.
 
     Raises:
-        ExportError: it exceeds TOLERANCE.
+        ExportError: the difference exceeds TOLERANCE.
     """
     session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
     shape = SAMPLES, policy.network.layers[0].weight.shape[1]

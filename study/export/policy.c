@@ -3,10 +3,10 @@
 #include <math.h>
 #include <stddef.h>
 
-#define LARGEST 1.0e30 /* of an observation over its scale; no sum can overflow */
+#define LARGEST 1.0e30 /* of an observation over its scale, so that no sum can overflow */
 
 /* PRINTED */
-/* Where points are left: k-means, as inspection.chief.points.cluster. */
+/* Clusters of the points that are left: k-means, as inspection.chief.points.cluster. */
 
 static double distance_squared(const double a[3], const double b[3])
 {
@@ -17,7 +17,7 @@ static double distance_squared(const double a[3], const double b[3])
     return (x * x) + (y * y) + (z * z);
 }
 
-/* The distance squared from a place to the nearest living centre; infinite where there is none. */
+/* Returns the squared distance from a place to the nearest living centre; infinite if there is none. */
 static double nearest_squared(const struct policy_clusters *clusters, const double place[3])
 {
     double least = HUGE_VAL;
@@ -30,7 +30,7 @@ static double nearest_squared(const struct policy_clusters *clusters, const doub
     return least;
 }
 
-/* Puts a centre on the wanted point that is farthest from the living ones. */
+/* Puts a centre on the wanted point that is farthest from all living centres. */
 static void seed(struct policy_clusters *clusters, size_t k, const bool wanted[POLICY_POINTS])
 {
     double most = -1.0;
@@ -48,7 +48,7 @@ static void seed(struct policy_clusters *clusters, size_t k, const bool wanted[P
     clusters->alive[k] = true;
 }
 
-/* Moves a living centre to the mean of the wanted points that are nearest to it. Returns how many these are. */
+/* Writes the mean of the wanted points that are nearest to a living centre. Returns the number of these points. */
 static double moved(const struct policy_clusters *clusters, size_t k, const bool wanted[POLICY_POINTS], double mean[3])
 {
     double sum[3] = {0.0};
@@ -113,7 +113,7 @@ void policy_look(struct policy_clusters *clusters, const bool wanted[POLICY_POIN
     }
 }
 
-/* What is observed. */
+/* observation */
 
 void policy_observe(const double state[16], const double priority[3], const double uninspected[3],
                     const double score[1], const double chief[7], double observation[POLICY_OBSERVATIONS])
@@ -126,9 +126,9 @@ void policy_observe(const double state[16], const double priority[3], const doub
 #endif
 }
 
-/* What is decided. */
+/* decision */
 
-/* What is commanded for an action: sign(a) |a|^k, which is within [-1, 1]. */
+/* Returns the command for an action: sign(a) |a|^k, which is within [-1, 1]. */
 static double shaped(double action)
 {
     const double size = pow(fabs(action), POWER);
@@ -140,12 +140,12 @@ bool policy_control(const double observation[POLICY_OBSERVATIONS], double contro
 {
     double from[WIDEST];
     double to[WIDEST];
-    size_t n = 0U; /* of the next number of WEIGHT */
+    size_t n = 0U; /* index of the next number of WEIGHT */
     bool fine = true;
 
     for (size_t i = 0U; i < POLICY_OBSERVATIONS; i++) {
         from[i] = observation[i] / SCALE[i];
-        if (!(fabs(from[i]) <= LARGEST)) { /* nor is a NaN */
+        if (!(fabs(from[i]) <= LARGEST)) { /* also true for NaN */
             fine = false;
             from[i] = 0.0;
         }

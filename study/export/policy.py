@@ -1,8 +1,9 @@
 """An agent as C99: what it observes, its network, and a test that compares it with PyTorch.
 
-By hand are `policy.c` and `policy.h`, to which the tables and the printed observation are added here. The C computes in
-double precision with the checkpoint's weights, which are in single, and is compared with PyTorch in double: in single
-PyTorch itself strays by nearly the tolerance of the test. The page of `play` flies the same C.
+`policy.c` and `policy.h` are written by hand; this module adds the tables and the printed observation. The C computes
+in double precision with the checkpoint's single-precision weights. The test compares it with PyTorch in double
+precision, because PyTorch's own rounding in single precision is nearly the tolerance of the test. The page of `play`
+flies the same C.
 """
 
 import hashlib
@@ -32,21 +33,21 @@ from study.errors import as_input_error
 from study.experiment import check_chief
 from study.files import write_text
 
-NAME = "policy"  # that files, functions, types and macros begin with
-BUILT = "test_policy"  # by the Makefile
-MARK = "Written by main.py export --c"  # on the first line of each
-VECTORS = 100  # of the test
+NAME = "policy"  # files, functions, types and macros begin with it
+BUILT = "test_policy"  # the program that the Makefile builds
+MARK = "Written by main.py export --c"  # on the first line of each file
+VECTORS = 100  # states in the test
 WIDTH = 110  # of a line of a table
 
 
 def write(policy: Policy, config: Config, checkpoint: str, directory: Path, prefix: str = NAME) -> str:
-    """Writes the agent of a checkpoint into a directory, which may hold an older one; returns what to say of it.
+    """Writes the agent of a checkpoint into a directory, which may hold an older one; returns a message about it.
 
     Args:
         prefix: of all files, functions, types and macros, so that several agents fit into one program.
 
     Raises:
-        InputError: the chief's mesh cannot be read, or the directory holds anything else or cannot be written.
+        InputError: the chief's mesh cannot be read, or the directory holds other files or cannot be written.
     """
     check_chief(config)
     own = sources(policy, config, hashlib.sha256(Path(checkpoint).read_bytes()).hexdigest())
@@ -76,7 +77,7 @@ def by_hand(name: str, printed_part: str = "") -> str:
 
 
 def sources(policy: Policy, config: Config, digest: str) -> dict[str, str]:
-    """Returns policy.h and policy.c; `digest` is of the checkpoint."""
+    """Returns policy.h and policy.c; `digest` is the checkpoint's SHA-256."""
     c, sight = config.inspection, Sight(config.chief, config.inspection, 1, torch.device("cpu"))
     observed = components(c)
     limits = [
@@ -120,7 +121,7 @@ def sources(policy: Policy, config: Config, digest: str) -> dict[str, str]:
 
 
 def enumeration(kind: str, names: Iterable[str], meanings: Iterable[str]) -> str:
-    """Returns an enumeration whose members have comments."""
+    """Returns a C enumeration whose members have comments."""
     members = [
         f"    POLICY_{kind.upper()}_{name.upper()} /* {meaning} */"
         for name, meaning in zip(names, meanings, strict=True)
@@ -129,7 +130,7 @@ def enumeration(kind: str, names: Iterable[str], meanings: Iterable[str]) -> str
 
 
 def numbers(policy: Policy) -> list[float]:
-    """Returns biases and weights in the order of WEIGHT; of the last layer without the log-std's."""
+    """Returns biases and weights in the order of WEIGHT, without the last layer's columns for the log-std."""
     found: list[float] = []
     for layer in policy.network.layers:
         columns = slice(CONTROL_SIZE if layer is policy.network.layers[-1] else None)
@@ -138,7 +139,7 @@ def numbers(policy: Policy) -> list[float]:
 
 
 def observation(c: InspectionParameters) -> Printed:
-    """Prints what is observed, in physical units."""
+    """Prints the observation as C, in physical units."""
     x = torch.ones(SIZE, 1, dtype=torch.float64)
     chief = {"chief": x[:7]} if "chief" in c.observed else {}
     given = {"x": x, "priority": x[:3], "uninspected": x[:3], "score": x[0], **chief}
@@ -150,7 +151,7 @@ def observation(c: InspectionParameters) -> Printed:
 
 
 def vectors(policy: Policy, config: Config) -> str:
-    """Returns tables of states and of what PyTorch answers, in the units of policy.h."""
+    """Returns tables of states and of PyTorch's controls, in the units of policy.h."""
     c, generator = config.inspection, torch.Generator().manual_seed(0)
 
     def normal(scale: float, size: int) -> Tensor:
@@ -188,7 +189,7 @@ def vectors(policy: Policy, config: Config) -> str:
 
 
 def wrapped(declaration: str, values: Sequence[object]) -> str:
-    """Returns a table of one axis in lines of WIDTH."""
+    """Returns a one-dimensional table in lines of WIDTH."""
     text = textwrap.fill(", ".join(map(str, values)), WIDTH, break_long_words=False, break_on_hyphens=False)
     return f"static const {declaration} = {{\n{textwrap.indent(text, '    ')}\n}};"
 

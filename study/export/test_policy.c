@@ -7,10 +7,10 @@
 
 #define TOLERANCE 1e-6 /* in units of the actuators' limits */
 
-/* States, and what PyTorch answers, in the units of policy.h. */
+/* States, and PyTorch's controls, in the units of policy.h. */
 /* PRINTED */
 
-/* The largest difference from what is expected; infinite where either is no number or the answer beyond the limits. */
+/* Returns the largest difference from PyTorch's controls; infinite if a control is not a number or beyond its limit. */
 static double largest_difference(void)
 {
     struct policy_clusters clusters = {.alive = {false}};
@@ -41,7 +41,7 @@ static double largest_difference(void)
     return largest;
 }
 
-/* How many observations with a component that is no number are answered by false and zeros, of 3 per component. */
+/* Returns how many observations with a NaN or infinite component, 3 per component, are answered by false and zeros. */
 static unsigned int refused(void)
 {
     const double hostile[3] = {nan(""), HUGE_VAL, -HUGE_VAL};

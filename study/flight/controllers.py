@@ -1,4 +1,4 @@
-"""Who can command a spacecraft: an agent, or a controller by its name on the command line."""
+"""Controllers that can command a spacecraft: an agent, or a controller by its name on the command line."""
 
 import torch
 from torch import Tensor
@@ -16,7 +16,7 @@ from study.flight.state_files import read_actions
 
 
 def agent(policy: Policy, env: InspectionEnv) -> Controller:
-    """The mean action of a policy of S seeds, whose columns follow one another in `env`, flown by `inspect`."""
+    """Returns a controller by the mean action of a policy of S seeds, whose columns follow one another in `env`."""
     seeds = policy.seeds
 
     def control(t: float, x: Tensor) -> Tensor:
@@ -27,14 +27,14 @@ def agent(policy: Policy, env: InspectionEnv) -> Controller:
 
 
 def untrained(experiment: Experiment, seed: int) -> Policy:
-    """The policy with which `train --seed` begins, on the experiment's device; its mean actions are small."""
+    """Returns the policy with which `train --seed` begins, on the experiment's device; its mean actions are small."""
     return experiment.policy(experiment.generators([seed]))
 
 
 def classical(name: str, env: InspectionEnv, seed: int, every: float = 1.0) -> Controller:
-    """A controller of `inspection.guidance` by its name, which decides every so many s and is flown in `env`.
+    """Returns a controller of `inspection.guidance` by its name; it decides every `every` s and is flown in `env`.
 
-    Random draws from a stream of the seed's own.
+    The controller "random" draws from a random stream of its own, which the seed determines.
     """
     c = env.c
     if name in GUIDANCE:
@@ -42,15 +42,15 @@ def classical(name: str, env: InspectionEnv, seed: int, every: float = 1.0) -> C
     return {
         "lqr-pd": lambda: guidance.lqr_pd(c),
         "zero": guidance.zero,
-        # not the numbers from which the test cases of this seed are made
+        # seed + 1, because the test cases of this seed come from the stream of `seed`
         "random": lambda: guidance.random(c, torch.Generator().manual_seed(seed + 1)),
     }[name]()
 
 
 def recorded(path: str, env: InspectionEnv, step: float, duration: float) -> Controller:
-    """The controls in a file, one every `step` s, enough for the duration in s.
+    """Returns a controller that replays the controls in a file, one every `step` s, enough for the duration in s.
 
-    Corners beside them are put into the plant of `env`; InputError where it has none.
+    Corners beside the controls are put into the plant of `env`; raises InputError if the plant has no corners.
     """
     rows = read_actions(path, env.c.control_limit, round(duration / step))
     actions, corners = rows[:, :CONTROL_SIZE], rows[:, CONTROL_SIZE:]

@@ -28,20 +28,20 @@ from study.flight.simulation import Recording
 from study.flight.summary import summary_of_runs
 from study.machine import bar
 
-# Without the time that is left: the last episode may take as long as all before it, and nobody knows.
+# The bar does not estimate the remaining time, because the last episode may take as long as all before it.
 BAR = "{desc}: |{bar}| {n_fmt}/{total_fmt} ended [{elapsed}{postfix}]"
 
 
 @dataclass
 class Episodes:
-    """Each episode's record; first axes as named, last axis the episodes.
+    """Holds the record of each episode; first axes as named, last axis the episodes.
 
     Attributes:
         metrics: (6, episodes) in the order of METRICS.
         violations: (constraints + 1, episodes) percent of its steps, "any" last.
         violation_seconds: the same, percent of its integration steps.
         outcome: (episodes,) index into OUTCOMES.
-        clear: (episodes,) bool, it succeeded and two days of free flight stay clear of the chief.
+        clear: (episodes,) bool, the episode succeeded and two days of free flight stay clear of the chief.
         filter_calls, interventions, failures, backup_calls: (episodes,) counts.
         filter_violations: (constraints, episodes) filter calls at which the constraint was violated.
         worst: (constraints, episodes) smallest constraint value, at the start or after an integration step.
@@ -63,23 +63,23 @@ class Episodes:
 
     @property
     def clean(self) -> Tensor:
-        """(episodes,) bool: succeeded, clear in free flight, and no limit violated after any integration step."""
+        """Returns (episodes,) bool: success, clear in free flight, and no limit violated after any integration step."""
         return self.clear & (self.violation_seconds[-1] == 0.0)
 
     def split(self, seeds: int) -> list["Episodes"]:
-        """The episodes of each seed, where those of all follow one another."""
+        """Returns the episodes of each seed from a record in which the seeds follow one another."""
         parts = zip(*(values.chunk(seeds, -1) for values in vars(self).values()), strict=True)
         return [Episodes(*part) for part in parts]
 
     @classmethod
     def join(cls, records: list["Episodes"]) -> "Episodes":
-        """The episodes of several records, one after another."""
+        """Returns the episodes of several records, one after another."""
         return cls(
             *(torch.cat([getattr(record, f.name) for record in records], -1) for f in dataclasses.fields(cls))
         )
 
     def named_extremes(self) -> dict[str, Tensor]:
-        """What a person would check, as it was at its worst, by name: (episodes,)."""
+        """Returns by name the worst value (episodes,) of each of RAW_QUANTITIES, with its natural sign."""
         rows = zip(RAW_QUANTITIES, self.extremes, strict=True)
         return {name: -row if name.startswith("max") else row for name, row in rows}
 
@@ -97,7 +97,7 @@ RAW_QUANTITIES = (
 
 
 def raw_quantities(x: Tensor) -> Tensor:
-    """What a person would check on states (16, B), signed so that the smallest is the worst: (8, B)."""
+    """Returns RAW_QUANTITIES of states (16, B), signed so that the smallest is the worst: (8, B)."""
     sun, _ = sun_and_earth_in_body(x)
     distance = norm(x[P])
     return torch.stack(
@@ -115,7 +115,7 @@ def raw_quantities(x: Tensor) -> Tensor:
 
 
 class Extremes(Observer):
-    """The smallest `raw_quantities` after a hold, (8, B)."""
+    """Keeps the smallest `raw_quantities` after a hold, (8, B)."""
 
     def begin(self, env: InspectionEnv, limits: Limits) -> None:
         self.smallest = Smallest(len(RAW_QUANTITIES), env.x)
@@ -127,10 +127,10 @@ class Extremes(Observer):
 def run_episodes(
     env: InspectionEnv, controller: Controller, starts: Starts, recording: Recording | None = None
 ) -> Episodes:
-    """Plays one episode per column of the environment to its end, behind a bar of those that ended.
+    """Plays one episode per column of the environment to its end, and shows on a bar how many have ended.
 
     Args:
-        recording: takes down the first episode.
+        recording: records the first episode.
     """
     count, extremes = starts.x.shape[1], Extremes()
     what = f"flying {count:,} test case{'s' * (count > 1)}"
@@ -157,10 +157,10 @@ def run_episodes(
 
 
 def report(record: Episodes, config: Config, seed: int, seeds: int = 1) -> dict[str, Any]:
-    """The content of `evaluate --json`.
+    """Returns the content of `evaluate --json`.
 
     Args:
-        seed: of the test cases; seeds: trained seeds whose episodes of the same cases follow one another.
+        seed: of the test cases; seeds: number of trained seeds, whose episodes of the same cases follow one another.
     """
     names = ("any", *CONSTRAINTS)
     of_steps, of_seconds = (
@@ -207,7 +207,7 @@ def play(
     """Plays the same common test cases with every seed of a policy at once, deterministically, seed after seed.
 
     Args:
-        recorded: is given the first episode over time.
+        recorded: the first episode over time is appended to it.
     """
     env = experiment.env(episodes, experiment.generators([seed] * policy.seeds), compiled=experiment.compiled)
     starts = test_cases(experiment.config, episodes, seed).repeat(policy.seeds)
@@ -219,7 +219,7 @@ def play(
 
 
 def common_episode(policy: Policy, experiment: Experiment, case: int = 0) -> dict[str, np.ndarray]:
-    """The agent's episode from a common test case until it ends, as `simulate` has it, a row per integration step."""
+    """Returns the agent's episode from a common test case to its end in the form of `simulate`, a row per substep."""
     every = min(experiment.config.rta.period, experiment.config.inspection.substep)
     env, recording = experiment.env(1, report_every=every), Recording()
     start = test_cases(experiment.config, case + 1, TEST_CASES).one(case)
@@ -230,9 +230,9 @@ def common_episode(policy: Policy, experiment: Experiment, case: int = 0) -> dic
 def play_controller(name: str, experiment: Experiment, episodes: int, seed: int) -> Episodes:
     """Plays the common test cases with one of EVALUATED.
 
-    Those of GUIDANCE decide at every call of the filter, without it at every integration step. The others decide as an
-    agent does, once an action period: `untrained` takes the mean actions of the policy with which `train --seed`
-    begins, `random` draws uniform controls anew each time, both from `seed`, and `zero` coasts.
+    Controllers of GUIDANCE decide at every call of the filter, or without filter at every integration step. The others
+    decide once per action period, as an agent does: `untrained` takes the mean actions of the policy with which `train
+    --seed` begins, `random` draws uniform controls each time, both from `seed`, and `zero` coasts.
     """
     if name == "untrained":
         return play(untrained(experiment, seed), experiment, episodes, seed)

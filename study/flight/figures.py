@@ -15,7 +15,7 @@ from inspection.chief.points import fibonacci_sphere
 from inspection.model.parameters import InspectionParameters
 from study.files import writing
 
-# Colours that differ in lightness too (Okabe and Ito's palette)
+# colours that also differ in lightness (Okabe and Ito's palette)
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#E69F00", "#009E73", "#666666"
 SKY, RED, PURPLE = "#56B4E9", "#D55E00", "#CC79A7"
 SAFE, UNSAFE = "#DDF1E4", "#F2C4B8"
@@ -30,30 +30,30 @@ Episode = dict[str, np.ndarray]
 
 
 def rotate(q: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Body vector a (3,) in Hill's frame for quaternions (k, 4), scalar last: (k, 3)."""
+    """Rotates a body vector a (3,) into Hill's frame by quaternions (k, 4), scalar last: (k, 3)."""
     t = 2.0 * np.cross(q[:, :3], a)
     return a + q[:, 3:] * t + np.cross(q[:, :3], t)
 
 
 def angle_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Angle between rows (k, 3) of unit vectors in degrees."""
+    """Returns the angles (k,) in degrees between unit vectors, rows (k, 3) of a and b."""
     return np.degrees(np.arccos(np.clip((a * b).sum(1), -1.0, 1.0)))
 
 
 def speeds(episode: Episode) -> np.ndarray:
-    """|v| (k,) in m/s."""
+    """Returns |v| (k,) in m/s."""
     return np.linalg.norm(episode["velocity"], axis=1)
 
 
 def pointing(episode: Episode) -> np.ndarray:
-    """The paper's dot product: boresight times the direction to the chief (k,), 1 where the camera is on it."""
+    """Returns the paper's dot product of boresight and direction to the chief (k,), 1 where the camera points at it."""
     boresight = rotate(episode["quaternion"], np.array([1.0, 0.0, 0.0]))
     direction = -episode["position"] / np.linalg.norm(episode["position"], axis=1, keepdims=True)
     return (boresight * direction).sum(1)
 
 
 def effort(episode: Episode, c: InspectionParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Delta v in m/s and torque in N m spent until each row (k,), as the metrics of an episode count them."""
+    """Returns delta v in m/s and torque in N m spent until each row (k,), counted as the metrics of an episode do."""
     # a row's control acts until the next row
     held = np.diff(episode["time"], prepend=episode["time"][0])[:, None]
     spent = np.cumsum(np.abs(np.roll(episode["control_applied"], 1, axis=0)) * held, axis=0)
@@ -61,14 +61,14 @@ def effort(episode: Episode, c: InspectionParameters) -> tuple[np.ndarray, np.nd
 
 
 def nearness(episode: Episode, c: InspectionParameters) -> tuple[np.ndarray, float, str]:
-    """How far the chief is, (rows,) m, what it must be at least, and its name: from its centre, or from its hull."""
+    """Returns the distance (rows,) in m to the chief's centre or hull, the least one allowed, and an axis label."""
     if "clearance" in episode:
         return episode["clearance"], 0.0, "above the hull (m)"
     return np.linalg.norm(episode["position"], axis=1), c.collision_radius, "distance (m)"
 
 
 def points_of_chief(episode: Episode, c: InspectionParameters) -> np.ndarray:
-    """(N, 3) m, in the chief's frame; where it turns, as Hill's frame has them at the end."""
+    """Returns the chief's points (N, 3) in m, in Hill's frame as at the episode's end."""
     if "chief_points" not in episode:
         return c.chief_radius * fibonacci_sphere(c.num_points).numpy().T
     x, y, z = (rotate(episode["chief_attitude"][-1:], axis)[0] for axis in np.eye(3))
@@ -76,7 +76,7 @@ def points_of_chief(episode: Episode, c: InspectionParameters) -> np.ndarray:
 
 
 def trajectory(ax: Axes3D, episode: Episode, c: InspectionParameters, top_speed: float) -> None:
-    """3-D path coloured by speed up to `top_speed` in m/s, with chief, camera directions and the Sun at both ends."""
+    """Draws the 3-D path coloured by speed up to `top_speed` in m/s, with chief, camera and the Sun at both ends."""
     p = episode["position"]
     chief = points_of_chief(episode, c).T
     ax.scatter(*chief, s=3, color=GREY, depthshade=False)
@@ -97,7 +97,7 @@ def trajectory(ax: Axes3D, episode: Episode, c: InspectionParameters, top_speed:
     ax.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
     extents = np.ptp((ax.get_xlim(), ax.get_ylim(), ax.get_zlim()), axis=1)
     ax.set_box_aspect(tuple(extents), zoom=0.88)  # room for the labels below
-    # the same distance between ticks on every axis, so that those of a short one do not overlap
+    # the same distance between ticks on every axis, so that the ticks of a short axis do not overlap
     ticks = MaxNLocator(6).tick_values(0.0, extents.max())
     for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
         axis.set_major_locator(MultipleLocator(ticks[1]))
@@ -106,7 +106,7 @@ def trajectory(ax: Axes3D, episode: Episode, c: InspectionParameters, top_speed:
 
 
 def band(ax: Axes, low: float = -math.inf, high: float = math.inf) -> None:
-    """Shades what lies between two limits green and the rest red, each finite limit in view and dotted."""
+    """Shades the range between two limits green and the rest red; each finite limit is in view and dotted."""
     scale = ax.yaxis.get_transform()
     bottom, top = scale.transform(np.array(ax.get_ylim()))
     limits = [limit for limit in (low, high) if math.isfinite(limit)]
@@ -123,7 +123,7 @@ def band(ax: Axes, low: float = -math.inf, high: float = math.inf) -> None:
 
 
 def speed_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
-    """|v| and the limit that grows with the distance."""
+    """Draws |v| and the limit that grows with the distance."""
     t, speed = episode["time"], speeds(episode)
     limit = c.docking_speed + c.speed_slope * np.linalg.norm(episode["position"], axis=1)
     ax.plot(t, speed, color=BLUE)
@@ -134,7 +134,7 @@ def speed_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
 
 
 def sun_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
-    """Angle between boresight and Sun."""
+    """Draws the angle between boresight and Sun."""
     boresight = rotate(episode["quaternion"], np.array([1.0, 0.0, 0.0]))
     theta = episode["sun_angle"]
     sun = np.stack((np.cos(theta), np.sin(theta), np.zeros_like(theta)), 1)
@@ -145,21 +145,21 @@ def sun_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
 
 
 def temperature_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
-    """Temperature of the tracked surface."""
+    """Draws the temperature of the tracked surface."""
     ax.plot(episode["time"], episode["temperature"], color=BLUE)
     ax.set(ylabel="temperature (°C)")
     band(ax, high=c.max_temperature)
 
 
 def energy_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
-    """Battery charge; the axis ends at an empty battery."""
+    """Draws the battery charge; the axis begins at an empty battery."""
     ax.plot(episode["time"], episode["energy"], color=BLUE)
     ax.set(ylabel="energy (kJ)", ylim=(0, 1.05 * max(episode["energy"].max(), c.min_energy)))
     band(ax, low=c.min_energy)
 
 
 def components(ax: Axes, t: np.ndarray, values: np.ndarray, limit: float, label: str) -> None:
-    """Three components (k, 3) that share a limit of either sign."""
+    """Draws three components (k, 3) that share a limit of either sign."""
     for name, line, colour in zip("xyz", values.T, (BLUE, ORANGE, "black"), strict=True):
         ax.plot(t, line, color=colour, lw=0.9, label=name)
     extent = max(limit, abs(values).max())
@@ -169,7 +169,7 @@ def components(ax: Axes, t: np.ndarray, values: np.ndarray, limit: float, label:
 
 
 def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> None:
-    """The paper's figure of the filter: what each constraint limits, dotted, and both controls over time, as a PNG."""
+    """Writes the paper's figure of the filter as a PNG: limited quantities, dotted limits, and controls over time."""
     t = episode["time"]
     figure = Figure(figsize=(10, 7), layout="constrained")
     axes = figure.subplots(3, 3, sharex=True)
@@ -194,7 +194,7 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
     distance, least, label = nearness(episode, c)
     closest = episode["h_passive_safety"] + least
     ax.plot(t, closest, color=ORANGE, lw=0.9, label="nearest if coasting")
-    if least > 0.0:  # from the centre, as the keep-in zone is
+    if least > 0.0:  # measured from the centre, like the keep-in zone
         now, scale, low, farthest, place = "distance", "log", 2.5, c.max_distance, "lower left"
     else:
         now, scale, low, farthest, place = "now", "symlog", -1.0, math.inf, "best"
@@ -220,7 +220,7 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
 
 
 def episode_figure(episode: Episode, c: InspectionParameters, path: Path) -> None:
-    """Trajectory, inspection, pointing, effort and the limits of one episode as a PNG."""
+    """Writes trajectory, inspection, pointing, effort and the limits of one episode as a PNG."""
     t = episode["time"]
     figure = Figure(figsize=(13, 7.6))
     grid = figure.add_gridspec(3, 4, left=0.05, right=0.94, bottom=0.07, top=0.98, wspace=0.34, hspace=0.22)

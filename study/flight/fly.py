@@ -1,4 +1,4 @@
-"""The one flight of a batch of episodes, and the one record of what they did."""
+"""The one flight of a batch of episodes, which every command shares, and its record."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -20,11 +20,11 @@ SUCCESS = OUTCOMES.index("success")
 
 
 class Starts(NamedTuple):
-    """Where a batch of episodes starts.
+    """Holds the initial states of a batch of episodes.
 
     Attributes:
         x: states (16, B); priority: unit vectors (3, B).
-        number: (B,) in [0, 1), from which the episodes' plants and chiefs follow; None: 0.
+        number: (B,) in [0, 1), which determine the episodes' plants and chiefs; None: 0.
     """
 
     x: Tensor
@@ -37,7 +37,7 @@ class Starts(NamedTuple):
         return Starts(change(self.x), change(self.priority), number)
 
     def repeat(self, times: int) -> "Starts":
-        """Returns all starts so many times, one after another."""
+        """Returns all starts `times` times, one copy after another."""
         return self.map(lambda part: part.repeat(*(1,) * (part.dim() - 1), times))
 
     def one(self, case: int) -> "Starts":
@@ -46,12 +46,12 @@ class Starts(NamedTuple):
 
 
 class Limits:
-    """How the constraints fared at the start and after every hold; last axis the episodes, one each, "any" last.
+    """Keeps the constraints' values at the start and after every hold; last axis the episodes, "any" the last row.
 
     Attributes:
         before, h: (constraints, B) the values at the beginning and at the end of the last hold.
-        violating: (constraints + 1, B) states at which the constraint was negative, out of checked: (B,).
-        at_start: (constraints + 1, B) those at the start.
+        violating: (constraints + 1, B) number of states with a negative constraint, among `checked` (B,) states.
+        at_start: (constraints + 1, B) the same for the start alone.
         worst: (constraints, B) the smallest value, when: (constraints, B) s; NaN counts as minus infinity.
     """
 
@@ -62,7 +62,7 @@ class Limits:
         self.violating, self.checked = self.at_start.clone(), torch.ones_like(env.x[0])
 
     def hold(self, hold: Hold, running: Tensor) -> None:
-        """Takes in what follows a hold of the episodes that are running."""
+        """Adds the states after a hold of the episodes that are running."""
         self.before, self.h = self.h, self.env.constraint_values(hold.after)
         h = torch.where(running, self.h, math.inf)
         self.violating += with_any(self.smallest.note(h, hold.end) < 0.0)
@@ -78,30 +78,30 @@ class Limits:
 
 
 class Observer:
-    """Looks on while episodes fly; this one does nothing. `running` (B,) bool: the episode has not ended before."""
+    """Observes episodes in flight; this base does nothing. `running` (B,) bool: the episode has not ended before."""
 
     def begin(self, env: InspectionEnv, limits: Limits) -> None:
         """Sees the episodes at their start."""
 
     def hold(self, hold: Hold, running: Tensor) -> None:
-        """Sees a time in which a control was held; the limits have taken it in."""
+        """Sees a hold of a control; `Limits` has already added it."""
 
     def step(self, transition: Transition, running: Tensor) -> None:
-        """Sees an interaction, in a flight that lasts until the episodes end."""
+        """Sees an interaction; only called in flights that last until the episodes end."""
 
 
 def with_any(violated: Tensor) -> Tensor:
-    """Returns (constraints, B) bool with a row more: any of them."""
+    """Returns (constraints + 1, B) bool: the given rows and a last one that is their disjunction."""
     return torch.cat((violated, violated.any(0)[None]))
 
 
 class Calls(Observer):
-    """What the filter answered; last axis the episodes. A missed call was not asked.
+    """Counts the filter's answers; last axis the episodes. Missed calls are not counted.
 
     Attributes:
         status: (4, B) calls by `Status`; intervened, backup: (B,) calls.
         violated: (constraints, B) calls at whose true state the constraint was negative.
-        excess: (B,) the largest control in units of its actuator's limit.
+        excess: (B,) the largest applied control in units of its actuator's limit.
     """
 
     def begin(self, env: InspectionEnv, limits: Limits) -> None:
@@ -125,17 +125,17 @@ class Calls(Observer):
 
     @property
     def count(self) -> Tensor:
-        """(B,) calls that were asked."""
+        """Returns the number (B,) of calls that the filter answered."""
         return self.status.sum(0)
 
 
 class Ends(Observer):
-    """How the episodes ended; last axis the episodes.
+    """Keeps how the episodes ended; last axis the episodes.
 
     Attributes:
         metrics: (6, B) in the order of METRICS; outcome: (B,) index into OUTCOMES.
         violations: (constraints + 1, B) percent of the episode's steps, "any" last.
-        clear: (B,) bool, it succeeded and two days of free flight stay clear of the chief.
+        clear: (B,) bool, the episode succeeded and two days of free flight stay clear of the chief.
     """
 
     def begin(self, env: InspectionEnv, limits: Limits) -> None:
@@ -156,11 +156,11 @@ class Ends(Observer):
 
 
 class Progress(Observer):
-    """Shows on a bar how many episodes have flown or ended, for how long they fly, and how many violate a limit.
+    """Shows on a bar how many episodes have flown or ended, how long they have flown, and how many violate a limit.
 
     Args:
-        duration: s, of a flight in which all fly on; None: until every episode has ended.
-        violating: episodes of flights before.
+        duration: s, of a flight in which all episodes fly on; None: the flight ends when every episode has ended.
+        violating: number of violating episodes in earlier flights.
     """
 
     def __init__(self, shown: tqdm, duration: float | None = None, violating: int = 0) -> None:
@@ -179,7 +179,7 @@ class Progress(Observer):
         self.show(int(transition.steps.max()) * self.env.c.action_period, int(self.ended.sum()))
 
     def show(self, seconds: float, done: float) -> None:
-        """Moves the bar on: so many s flown, and episodes of this flight, also in part."""
+        """Updates the bar: s flown, and the number of finished episodes of this flight, which may be a fraction."""
         self.violating = self.already + int((self.limits.violating[-1] > 0).sum())
         self.shown.set_postfix_str(f"{seconds:,.0f} s flown, {self.violating:,} violating", refresh=False)
         self.shown.update(self.before + done - self.shown.n)
@@ -187,7 +187,7 @@ class Progress(Observer):
 
 @dataclass
 class Record:
-    """What a flight was: its starts, its constraints, the filter's calls and, if they ended, the episodes' ends."""
+    """Holds a flight's starts, its constraints, the filter's calls and, if the episodes ended, their ends."""
 
     starts: Starts
     limits: Limits
@@ -203,11 +203,11 @@ def fly(
     duration: float | None = None,
     observers: Sequence[Observer] = (),
 ) -> Record:
-    """Flies an episode per column of the environment from given starts, and returns what they did.
+    """Flies an episode per column of the environment from given starts, and returns the record.
 
     Args:
-        duration: s, for which all fly on whatever happens; None: until every episode has ended.
-        observers: look on, too.
+        duration: s, for which all episodes fly on whatever happens; None: until every episode has ended.
+        observers: further observers of the flight.
     """
     starts = starts.map(lambda part: part.to(env.x.device))
     env.start(*starts)

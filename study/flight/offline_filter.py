@@ -1,4 +1,4 @@
-"""Filtering states from elsewhere, with every number of the quadratic programs, so that others can check them."""
+"""Filters given states and returns every number of the quadratic programs, so that others can check them."""
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ CHUNK = 4096  # states filtered at once, so that memory does not grow with their
 
 
 def run(config: Config, states: str) -> dict[str, np.ndarray]:
-    """What `filter` of the command line writes, of the states in a file."""
+    """Filters the states in a file; returns the arrays that `filter` of the command line writes."""
     x, desired = read_states(states, config.inspection)
     calls = -(-x.shape[1] // CHUNK)
     experiment = Experiment(config, x.shape[1], calls * config.rta.period)
@@ -25,18 +25,19 @@ def run(config: Config, states: str) -> dict[str, np.ndarray]:
 def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dict[str, np.ndarray]:
     """Filters states (16, N) and desired controls (6, N) in N and N m.
 
-    Constraints are in the order of CONSTRAINTS. Units are SI: a row of A and b is the rate of h (of Psi_1 where the
-    relative degree is two) in h's unit per s (per s^2), columns of A are per N and per N m. The paper's program, which
-    proposes a control, minimises
+    Constraints are in the order of CONSTRAINTS. Units are SI: a row of A and b is the rate of h (of Psi_1 for relative
+    degree two) in h's unit per s (per s^2), columns of A are per N and per N m. The paper's program, which proposes a
+    control, minimises
 
         |(u - control_desired) / limit|^2 + sum slack_weight delta^2
 
     subject to A u + b >= delta and |u| <= limit, with delta = 0 where slack_weight is infinite. With the paper's filter
-    its u is `control_safe`. The checked filter solves it with the mean body rates of a hold (`rta.demand.in_mid_hold`)
-    and with weights that are capped (`rta.fast.program.HEAVIEST`); A and b are those of the state itself.
+    u is `control_safe`. The checked filter solves the program with the mean body rates of a hold
+    (`rta.demand.in_mid_hold`) and with capped weights (`rta.fast.program.HEAVIEST`); the returned A and b belong to the
+    state itself.
 
     Returns:
-        Of N states and H constraints:
+        Arrays for N states and H constraints:
         control_safe: (N, 6).
         h: (N, H) constraint values, exactly as in the paper.
         A: (N, H, 6), b: (N, H) barrier conditions A u + b >= 0.
@@ -55,7 +56,7 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
 
 
 def chunk(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dict[str, Tensor]:
-    """`filter_states` of a few states: its arrays that have a row per state."""
+    """Filters a few states; returns the arrays of `filter_states` that have a row per state."""
     result, (a, b, *_) = safety_filter.correct(x, desired), safety_filter.program.evaluated(x)
     by_state = {
         "control_safe": result.control,

@@ -1,4 +1,4 @@
-"""Simulating one spacecraft under any controller, with everything over time."""
+"""Simulation of one spacecraft under any controller, with all quantities over time."""
 
 from dataclasses import fields
 from typing import Any
@@ -34,7 +34,7 @@ SCALARS = ("time", "inspected_score", "temperature", "energy", "sun_angle")
 
 
 def check_rows(step: float, duration: float, config: Config, controller: str) -> None:
-    """Refuses rows every `step` s without end, or that do not fit the other clocks."""
+    """Raises InputError if rows every `step` s are too many, or do not fit the other clocks."""
     if step < 1e-3 or duration / min(step, config.inspection.substep) > MAX_ROWS:
         raise InputError(
             f"--duration {duration:g} at --step {step:g}: at most {MAX_ROWS:,} steps of at least 1 ms"
@@ -44,7 +44,7 @@ def check_rows(step: float, duration: float, config: Config, controller: str) ->
 
 
 def starting_point(path: str | None, experiment: Experiment, seed: int) -> Starts:
-    """The first test case of a seed, with what a state file gives in its place."""
+    """Returns the first test case of a seed, in which a state file, if any, replaces the state and priority vector."""
     start = test_cases(experiment.config, 1, seed)
     if path is None:
         return start
@@ -53,13 +53,13 @@ def starting_point(path: str | None, experiment: Experiment, seed: int) -> Start
 
 
 class Recording(Observer):
-    """The first spacecraft of an environment over time, a row at every report of its clocks.
+    """Records the first spacecraft of an environment over time, a row at every report of its clocks.
 
     Args:
-        fails: the episode ends where it fails, also in the middle of an action.
+        fails: the recording ends when the episode fails, even in the middle of an action.
 
     Attributes:
-        ended: the last row is there, and nothing more is recorded.
+        ended: the last row has been added, and nothing more is recorded.
     """
 
     def __init__(self, fails: bool = True) -> None:
@@ -73,7 +73,7 @@ class Recording(Observer):
         if self.ended:
             return
         self.last, self.begun = hold, float(self.env.time[0])
-        if self.tumbling:  # of now: where the hold ends, the next episode may have begun
+        if self.tumbling:  # kept now: at the end of the hold the next episode may have begun
             self.motion = self.tumbling.motion[:, :1]
         if hold.decided:
             self.decision = hold.desired[:, 0].clone()
@@ -83,7 +83,7 @@ class Recording(Observer):
             changed = (hold.correction.control != hold.desired)[:, 0]
             self.rows[-1]["intervened"] |= torch.stack([changed[part].any() for part in (THRUST, TORQUE)])
         failed = any(bool(each[0]) for each in failures(hold.after, self.env.c).values())
-        # at the end of an action the chief is looked at first
+        # at the end of an action `step` adds the last row, after the chief's points are inspected
         if self.fails and failed and hold.end < self.env.c.action_period:
             self.end()
 
@@ -94,13 +94,13 @@ class Recording(Observer):
         self.end(inspected_score=score, inspected=transition.inspected[:, 0])
 
     def end(self, **seen: Tensor) -> None:
-        """Adds the last row, at the end of the hold; `seen` is what of it the environment no longer knows."""
+        """Adds the last row, at the end of the hold; `seen` holds the quantities that the environment no longer has."""
         self.ended = True
         self.add(self.last.end, self.last.after)
         self.rows[-1] |= seen
 
     def add(self, time: float, x: Tensor) -> None:
-        """Adds a row; the filter's calls before the next one write into its `intervened`."""
+        """Adds a row; the filter's calls before the next row write into this row's `intervened`."""
         env = self.env
         self.rows.append(
             {
@@ -109,7 +109,7 @@ class Recording(Observer):
                 "control_desired": self.decision,
                 "control_applied": self.last.applied[:, 0].clone(),
                 "inspected_score": env.sight.score()[:1].clone(),
-                "inspected": env.sight.inspected[:, 0].clone(),  # which the next look writes into
+                "inspected": env.sight.inspected[:, 0].clone(),  # the next inspection changes it
                 "intervened": x.new_zeros(2, dtype=torch.bool),
             }
         )
@@ -118,7 +118,7 @@ class Recording(Observer):
             self.rows[-1]["chief_attitude"] = motion[ATTITUDE, 0]
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What `simulate` returns."""
+        """Returns the arrays of `simulate`."""
         env = self.env
         columns = {name: torch.stack([row[name] for row in self.rows]) for name in self.rows[0]}
         x = columns.pop("x").T
@@ -145,16 +145,15 @@ def simulate(
     """Simulates one spacecraft for a duration in s, with a row at every report of the environment's clocks.
 
     Args:
-        env: of one episode; its safety holds the filter, if any. Points are inspected every action period.
+        env: with one episode; its safety holds the filter, if any. Points are inspected every action period.
 
     Returns:
-        Arrays by name over time, the initial state first; `control_applied` is the control from the row's
-        time on, and the last row repeats the one before it. `inspected` is (rows, points) bool. `intervened`
-        is (rows, 2) bool, whether a call of the filter from the row up to the next corrected thrust, torque.
-        `chief_attitude` (rows, 4) is there where the chief is not the paper's, and `clearance` (rows,) in m where its
-        hull is what to stay clear of.
-        Not over time are `parameters`, the task's table of a configuration file, and such a chief's `chief_points`,
-        `chief_normals` (N, 3) and `chief_triangles` (F, 3, 3) in its own frame.
+        Arrays by name over time, the initial state first. `control_applied` is the control from the row's time on, in
+        the last row the control until then. `inspected` is (rows, points) bool. `intervened` is (rows, 2) bool: a call
+        of the filter between this row and the next changed thrust, torque. `chief_attitude` (rows, 4) is included if
+        the chief is not the paper's, and `clearance` (rows,) in m if its hull is the keep-out zone.
+        Not over time are `parameters`, the task's table of a configuration file, and for a chief that is not the
+        paper's `chief_points`, `chief_normals` (N, 3) and `chief_triangles` (F, 3, 3) in its own frame.
     """
     recording = Recording(fails=False)
     with bar(env.clocks.count(duration), "steps", desc=f"flying {duration:g} s", leave=False) as shown:
@@ -183,10 +182,10 @@ def run(
     actions: str | None = None,
     initial_state: str | None = None,
 ) -> dict[str, np.ndarray]:
-    """What `simulate` of the command line flies, by the names of its flags.
+    """Flies what `simulate` of the command line flies; the arguments are named as its flags.
 
     Args:
-        policy: of one seed, for the controller "policy".
+        policy: with one seed, for the controller "policy".
 
     Raises:
         InputError: a file is missing or damaged.
@@ -206,10 +205,10 @@ def run(
 
 
 def decides_every(config: Config, controller: str, step: float) -> float:
-    """s between two decisions: of an agent, trained or not, its own; of recorded controls a row of the output.
+    """Returns s between two decisions: the action period for an agent, trained or not, `step` for recorded controls.
 
-    A classical controller decides at every row, but not more often than the filter is called or, without it, the plant
-    steps. So rows that are closer than that change nothing in the flight.
+    A classical controller decides at every row of the output, but not more often than the filter's calls or, without
+    filter, the plant's steps. So rows that are closer in time do not change the flight.
     """
     if controller in ("policy", "untrained"):
         return config.inspection.action_period
@@ -219,7 +218,7 @@ def decides_every(config: Config, controller: str, step: float) -> float:
 
 
 def described(episode: dict[str, np.ndarray]) -> str:
-    """A simulation in half a line."""
+    """Describes a simulation in half a line."""
     violated = [name[2:] for name in episode if name.startswith("h_") and not (episode[name] >= 0).all()]
     return (
         f"{len(episode['time'])} rows over {episode['time'][-1]:g} s, inspected "

@@ -1,4 +1,4 @@
-"""Files of states and controls from elsewhere, read and checked."""
+"""Files of states and controls that a person gives, read and checked."""
 
 import sys
 from typing import Any
@@ -29,9 +29,9 @@ STATE_FIELDS: dict[str, tuple[Any, int]] = {
 
 
 def check_states(x: Tensor, c: Limits, path: str) -> Tensor:
-    """States (16, N) with their quaternions at unit length exactly; refuses the first that no spacecraft can be in.
+    """Returns states (16, N) with normalised quaternions; raises InputError for the first impossible state.
 
-    Says on stderr what looks like another unit or order.
+    Warns on stderr of numbers that look like another unit or order.
     """
     rules = {
         "state": (~(x.abs() <= LARGEST).all(0), f"must be finite, at most {LARGEST:g} in size"),
@@ -52,7 +52,7 @@ def read_state(path: str, c: Limits) -> tuple[Tensor, Tensor | None]:
     """Reads a state file: state (16, 1) and priority unit vector (3, 1), None where the file has none.
 
     Raises:
-        InputError: unreadable, not JSON, unknown or missing keys, wrong shapes, or see `check_states`.
+        InputError: the file is unreadable, not JSON, or has wrong keys or shapes, or see `check_states`.
     """
     content = files.read_json(path, "state file")
     if unknown := content.keys() - STATE_FIELDS.keys() - {"priority_vector"}:
@@ -73,7 +73,7 @@ def read_state(path: str, c: Limits) -> tuple[Tensor, Tensor | None]:
 
 
 def numbers(value: Any, length: int, where: str) -> Tensor:
-    """A finite number or a list of `length` finite numbers as (length,) float64."""
+    """Returns a finite number or a list of `length` finite numbers as (length,) float64; else raises InputError."""
     items = value if isinstance(value, list) else [value]
     fine = isinstance(value, list) == (length > 1) and len(items) == length
     if not fine or not all(isinstance(i, (int, float)) and not isinstance(i, bool) for i in items):
@@ -89,7 +89,7 @@ def read_states(path: str, c: Limits) -> tuple[Tensor, Tensor]:
     """Reads `state` (N, 16) and `control_desired` (N, 6) from a .npz file: x (16, N) and u (6, N), float64.
 
     Raises:
-        InputError: unreadable, a key is missing, wrong shapes, or see `check_states` and `check_controls`.
+        InputError: the file is unreadable, lacks a key or has wrong shapes, or see `check_states` and `check_finite`.
     """
     names = ("state", "control_desired")
     given = files.load_arrays(path, names, "states", f"; the file must hold {' and '.join(names)}")
@@ -111,7 +111,7 @@ def read_states(path: str, c: Limits) -> tuple[Tensor, Tensor]:
 def read_actions(path: str, limit: tuple[float, ...], rows: int) -> np.ndarray:
     """Reads an N x 6 array of controls in N and N m, or N x 25 with corners (`inspection.world.corners`) after them.
 
-    Refuses what the actuators cannot do, corners other than 0 and 1, and N < `rows`.
+    Raises InputError for controls beyond the actuators' limits, corners other than 0 and 1, and N < `rows`.
     """
     try:
         actions = np.load(path, allow_pickle=False)
@@ -133,7 +133,7 @@ def read_actions(path: str, limit: tuple[float, ...], rows: int) -> np.ndarray:
 
 
 def check_finite(controls: np.ndarray, where: str) -> None:
-    """Refuses controls that are not finite numbers."""
+    """Raises InputError for controls that are not finite numbers."""
     if controls.dtype.kind not in "fiu":
         raise InputError(f"{where}: must hold numbers, not {controls.dtype.name}")
     if not np.isfinite(controls).all():
@@ -141,7 +141,7 @@ def check_finite(controls: np.ndarray, where: str) -> None:
 
 
 def check_controls(controls: np.ndarray, limit: tuple[float, ...], where: str) -> None:
-    """Refuses controls (N, 6) in N and N m that are not finite or beyond what the actuators can do."""
+    """Raises InputError for controls (N, 6) in N and N m that are not finite or beyond the actuators' limits."""
     check_finite(controls, where)
     excess = np.abs(controls) > np.array(limit) * (1.0 + 1e-9)
     if excess.any():
@@ -153,8 +153,8 @@ def check_controls(controls: np.ndarray, limit: tuple[float, ...], where: str) -
 
 
 def check_corners(corners: np.ndarray, where: str) -> None:
-    """Refuses corners (N, 19), which follow the controls in a row, that are neither 0 nor 1."""
-    wrong = (corners != 0.0) & (corners != 1.0)  # NaN is, too
+    """Raises InputError for corners (N, 19), which follow the controls in a row, that are neither 0 nor 1."""
+    wrong = (corners != 0.0) & (corners != 1.0)  # also true for NaN
     if wrong.any():
         row, column = np.argwhere(wrong)[0]
         raise InputError(

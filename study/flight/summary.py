@@ -8,12 +8,12 @@ from scipy import stats
 
 RESAMPLES = 10_000
 STRATIFIED_RESAMPLES = 50_000
-AT_ONCE = 2**21  # scores of the resamples held in memory
+AT_ONCE = 2**21  # scores of resamples that are in memory at once
 CONFIDENCE = 0.95  # of the bound
 
 
 class Summary(TypedDict):
-    """Of some values: `iqm`, mean, the 95 % interval of the IQM, 5th and 95th percentile, and the largest."""
+    """Holds statistics of values: `iqm`, mean, 95 % interval of the IQM, 5th and 95th percentile, and the largest."""
 
     iqm: float
     mean: float
@@ -24,12 +24,12 @@ class Summary(TypedDict):
 
 
 def iqm(values: np.ndarray, axis: int | None = -1) -> np.ndarray:
-    """Interquartile mean: the mean of the middle half, by scipy's trimmed mean."""
+    """Returns the interquartile mean, the mean of the middle half, by scipy's trimmed mean."""
     return stats.trim_mean(values, 0.25, axis=axis)
 
 
 def summarised(values: np.ndarray, interval: Iterable[float]) -> Summary:
-    """All of the values, of any shape, with the interval that was found for them."""
+    """Returns the `Summary` of all values, of any shape, with the given interval."""
     p5, p95 = np.percentile(values, [5.0, 95.0])
     return {
         "iqm": float(iqm(values, axis=None)),
@@ -42,7 +42,7 @@ def summarised(values: np.ndarray, interval: Iterable[float]) -> Summary:
 
 
 def summary(values: np.ndarray, seed: int = 0) -> Summary:
-    """Of (episodes,) values, with the percentile bootstrap's interval."""
+    """Returns the `Summary` of values (episodes,), with the interval of the percentile bootstrap."""
     if np.ptp(values) == 0.0:  # scipy's bootstrap has no interval for a constant
         return summarised(values, [values[0]] * 2)
     result = stats.bootstrap(
@@ -59,10 +59,10 @@ def summary(values: np.ndarray, seed: int = 0) -> Summary:
 def stratified_bootstrap(
     scores: np.ndarray, rng: np.random.Generator, resamples: int = STRATIFIED_RESAMPLES
 ) -> np.ndarray:
-    """IQMs (resamples,) of stratified bootstrap resamples of scores (runs, tasks).
+    """Returns IQMs (resamples,) of stratified bootstrap resamples of scores (runs, tasks).
 
-    As Agarwal et al. define it (2021, Sec. 4): each task is a stratum, whose runs are drawn with replacement
-    independently of the other tasks'.
+    The resampling follows Agarwal et al. (2021, Sec. 4): each task is a stratum, and its runs are drawn with
+    replacement, independently of the other tasks.
     """
     size = max(1, AT_ONCE // scores.size)
     iqms = []
@@ -74,16 +74,16 @@ def stratified_bootstrap(
 
 
 def stratified_summary(scores: np.ndarray, seed: int = 0) -> Summary:
-    """Of all of the scores (runs, tasks), with the stratified bootstrap's interval."""
+    """Returns the `Summary` of all scores (runs, tasks), with the interval of the stratified bootstrap."""
     resampled = stratified_bootstrap(scores, np.random.default_rng(seed))
     return summarised(scores, np.percentile(resampled, [2.5, 97.5]))
 
 
 def summary_of_runs(scores: np.ndarray) -> Summary:
-    """`stratified_summary` of scores (runs, tasks); of a lone run, `summary` over its tasks."""
+    """Returns `stratified_summary` of scores (runs, tasks), or for a single run `summary` over its tasks."""
     return summary(scores[0]) if len(scores) == 1 else stratified_summary(scores)
 
 
 def upper_bound(events: int, trials: int) -> float:
-    """Clopper and Pearson's one-sided bound: the probability at which so few events had a chance of 5 %."""
+    """Returns Clopper and Pearson's one-sided bound: the probability at which so few events have a chance of 5 %."""
     return 1.0 if events >= trials else float(stats.beta.ppf(CONFIDENCE, events + 1, trials - events))

@@ -1,4 +1,4 @@
-"""The agents of a finished study, as its report flies them."""
+"""The agents of a finished study, which its report flies."""
 
 import hashlib
 import sys
@@ -18,10 +18,10 @@ from study.report.inputs import read_arms, read_settings
 
 @dataclass(frozen=True)
 class Arm:
-    """The agents of a finished arm.
+    """Holds the agents of a finished arm.
 
     Attributes:
-        config: of its first seed; policy: of all seeds.
+        config: of the first seed; policy: of all seeds.
         results: of the study; digests: SHA-256 of each seed's file.
     """
 
@@ -31,7 +31,7 @@ class Arm:
     digests: dict[str, str]
 
     def of_seed(self, place: int) -> Policy:
-        """The policy of one seed, counted from 0."""
+        """Returns the policy of one seed, counted from 0."""
         policy = make_policy(self.config, [torch.Generator()])
         own = {name: weights[place : place + 1] for name, weights in self.policy.state_dict().items()}
         policy.load_state_dict(own)
@@ -39,7 +39,7 @@ class Arm:
 
 
 def agents_of(study: Path, device: str | None) -> dict[str, Arm]:
-    """The arms of a finished study by name."""
+    """Returns the arms of a finished study by name."""
     path = study / "results.json"
     if not path.is_file():
         raise InputError(f"--study {study}: no finished study there (it lacks results.json)")
@@ -57,7 +57,7 @@ def agents_of(study: Path, device: str | None) -> dict[str, Arm]:
 
 
 def load_arm(directory: Path, results: Results, device: str | None) -> Arm:
-    """An arm from its seeds' policies."""
+    """Loads an arm from its seeds' policies."""
     paths = [directory / f"seed{seed}" / "policy.pt" for seed in results["seeds"]]
     loaded = [load_policy(path) for path in paths]
     policies = [policy for policy, _ in loaded]
@@ -71,7 +71,7 @@ def load_arm(directory: Path, results: Results, device: str | None) -> Arm:
 
 
 def stacked(config: Config, policies: Sequence[Policy]) -> Policy:
-    """Policies that a configuration shapes as one, whose seeds are those of all, one policy after another."""
+    """Returns one policy with the seeds of several, one after another; all must have the configuration's shape."""
     weights = [policy.state_dict() for policy in policies]
     together = make_policy(config, [torch.Generator() for policy in policies for _ in range(policy.seeds)])
     together.load_state_dict({name: torch.cat([own[name] for own in weights]) for name in weights[0]})

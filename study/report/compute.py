@@ -1,4 +1,4 @@
-"""What a report shows beside a study's own results: computed once, and kept for the same policies."""
+"""Results that a report shows besides a study's own: computed once, and kept for the same policies."""
 
 import json
 import time
@@ -19,17 +19,17 @@ from study.report.sunlight import shortest_episodes
 
 Work = dict[
     str, tuple[str, Callable[[], Any]]
-]  # by file: what it is, what computes that which WRITE writes there
+]  # by file: a description, and a function that computes the content for WRITE
 
 
 def compute(study: Path, device: str | None = None) -> None:
-    """Writes what the directory's `report` lacks; what an earlier call has computed for the same policies is kept.
+    """Writes the files that the directory's `report` lacks, and keeps files that belong to the same policies.
 
     Args:
-        study: directory of a finished study, of any arms; device: auto, cpu or cuda; None: the study's.
+        study: directory of a finished study, with any arms; device: auto, cpu or cuda; None: the study's.
 
     Raises:
-        InputError, CheckpointError: there is no finished study, it is damaged, or nothing can be written there.
+        InputError, CheckpointError: there is no finished study, it is damaged, or its directory cannot be written.
     """
     arms = agents_of(study, device)
     directory = study / "report"
@@ -38,24 +38,24 @@ def compute(study: Path, device: str | None = None) -> None:
         begin(directory, {name: arm.digests for name, arm in arms.items()} | {"guidance": guided_by()}, todo)
         for name, (what, make) in todo.items():
             if not (directory / name).exists():
-                print(f"{directory / name}: {what} ...", flush=True)  # a line, since bars may follow
+                print(f"{directory / name}: {what} ...", flush=True)  # a whole line, since bars may follow
                 started = time.perf_counter()
                 WRITE[Path(name).suffix](directory / name, make())
                 print(f"{directory / name}: {time.perf_counter() - started:.0f} s", flush=True)
 
 
 def guided_by() -> dict[str, str]:
-    """By name, the knobs of the guidance that a report compares agents with."""
+    """Returns by name the parameters of the guidance that a report compares agents with."""
     return {name: repr(orbit) for name, orbit in flights.GUIDANCE.items()}
 
 
 def begin(directory: Path, digests: dict[str, dict[str, str]], todo: Work) -> None:
-    """Drops what was computed for other policies, or with another guidance, than those with the given digests."""
+    """Deletes results that were computed for policies or guidance with other digests than the given ones."""
     directory.mkdir(exist_ok=True)
     path = directory / "policies.json"
     text = json.dumps(digests, indent=2) + "\n"
     if not path.exists() or path.read_bytes() != text.encode():
-        for name in (*todo, "violation.npz"):  # the last one only where something is violated
+        for name in (*todo, "violation.npz"):  # violation.npz exists only if an agent violates a limit
             (directory / name).unlink(missing_ok=True)
         write_text(path, text)
 
@@ -75,7 +75,7 @@ WRITE: dict[str, Callable[[Path, Any], None]] = {
 
 
 def work(study: Path, arms: dict[str, Arm]) -> Work:
-    """Everything that a report on these arms needs beside the study's own results."""
+    """Returns everything that a report on these arms needs besides the study's own results."""
     papers = {name: arm for name, arm in arms.items() if name in ARMS}
     config = next(iter(arms.values())).config
     periods = ", ".join(f"{period:g}" for period in flights.PERIODS)
@@ -110,7 +110,7 @@ def work(study: Path, arms: dict[str, Arm]) -> Work:
 
 
 def training(study: Path, arms: dict[str, Arm]) -> str:
-    """The table of the periodic evaluations."""
+    """Returns the table of the periodic evaluations as CSV."""
     paths = {name: study / name / "evaluations.jsonl" for name in arms}
     for name, path in paths.items():
         arm = arms[name]

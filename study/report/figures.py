@@ -27,19 +27,19 @@ from study.flight.figures import (
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Results, measured
 from study.report.inputs import Inputs
 
-ARM_LABELS = {"no_rta": "no RTA", "rta": "RTA"}  # of the paper's arms; others go by their own names
+ARM_LABELS = {"no_rta": "no RTA", "rta": "RTA"}  # of the paper's arms; other arms are shown by their names
 STYLES = {"no_rta": (BLUE, "o"), "rta": (ORANGE, "s")}
-# of a study's own arms in their order: each list begins anew where it ends, so that 35 arms can be told apart
+# for a study's own arms in their order: each list repeats, and since their lengths differ, 35 arms look different
 MORE_COLOURS = ("#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8A7A00")
 MORE_MARKERS = ("^", "D", "v", "P", "X", "*", "h")
 GUIDANCE_COLOUR = "0.35"
 DPI = 120
 
-# what the training curves show; of the violation the paper prints a mean, no IQM that could stand beside ours
+# metrics of the training curves; the paper's number for violations is a mean, which is not comparable with our IQM
 TRAINING = PAPER_METRICS | {
     "violation_percent": replace(PAPER_VIOLATIONS["any"], label="Violation (% of steps, IQM)", by_arm={})
 }
-# panels of the cross evaluation: axis and what is measured
+# panels of the cross evaluation: axis and metric
 CROSS = {
     "Any violation (% of steps)": "any",
     "Success (%)": "success",
@@ -49,12 +49,12 @@ CROSS = {
 
 
 def label(arm: str) -> str:
-    """What a person reads for an arm."""
+    """Returns the label of an arm."""
     return ARM_LABELS.get(arm, arm)
 
 
 def style(arm: str, arms: Iterable[str]) -> tuple[str, str]:
-    """Colour and marker of an arm among all of a study."""
+    """Returns colour and marker of an arm among all arms of a study."""
     if arm in STYLES:
         return STYLES[arm]
     place = [name for name in arms if name not in STYLES].index(arm)
@@ -62,10 +62,10 @@ def style(arm: str, arms: Iterable[str]) -> tuple[str, str]:
 
 
 def draw(inputs: Inputs) -> None:
-    """Draws every figure for which there is material into the report's directory.
+    """Draws every figure for which there are data into the report's directory.
 
     Raises:
-        InputError: nothing can be written there.
+        InputError: the directory cannot be written.
     """
     with as_input_error(f"--study {inputs.study}: cannot write its report", OSError):
         if inputs.training:
@@ -79,7 +79,7 @@ def draw(inputs: Inputs) -> None:
 
 
 def draw_episodes(inputs: Inputs) -> None:
-    """The common episode of the arms, and the demonstrations."""
+    """Draws the common episode of the arms, and the demonstrations."""
     c, directory = inputs.config.inspection, inputs.directory
     top_speed = max((speeds(episode).max() for episode in inputs.episodes.values()), default=0.0)
     for arm, episode in inputs.episodes.items():
@@ -94,7 +94,7 @@ def draw_episodes(inputs: Inputs) -> None:
 
 
 def draw_training(inputs: Inputs) -> None:
-    """The six training curves in one figure and each alone."""
+    """Draws the six training curves in one figure, and each alone."""
     curves, directory = inputs.training, inputs.directory
     figure = Figure(figsize=(11, 6), layout="constrained")
     for ax, metric in zip(figure.subplots(2, 3).flat, TRAINING, strict=True):
@@ -114,7 +114,7 @@ def draw_training(inputs: Inputs) -> None:
 
 
 def save(figure: Figure, stem: Path) -> None:
-    """Writes a figure as PNG and as SVG; equal figures become equal files."""
+    """Writes a figure as PNG and as SVG; equal figures give equal files."""
     with writing(stem.with_suffix(".png")) as file:
         figure.savefig(file, dpi=DPI, format="png")
     with writing(stem.with_suffix(".svg")) as file, rc_context({"svg.hashsalt": stem.name}):
@@ -122,7 +122,7 @@ def save(figure: Figure, stem: Path) -> None:
 
 
 def training_panel(ax: Axes, curves: dict[str, np.ndarray], metric: str, arms: Iterable[str]) -> None:
-    """By arm: IQM with its 95 % band over the interactions of each seed, and the paper's final values dotted."""
+    """Draws by arm the IQM with its 95 % band over the interactions of each seed, and the paper's value dotted."""
     paper = TRAINING[metric]
     for arm, rows in curves.items():
         interactions, iqm, low, high = rows[rows[:, 0].argsort()].T
@@ -136,7 +136,7 @@ def training_panel(ax: Axes, curves: dict[str, np.ndarray], metric: str, arms: I
 
 
 def trajectory_figure(episode: Episode, c: InspectionParameters, top_speed: float, path: Path) -> None:
-    """One episode's path around the chief as a PNG, coloured by speed up to `top_speed` in m/s."""
+    """Writes one episode's path around the chief as a PNG, coloured by speed up to `top_speed` in m/s."""
     figure = Figure(figsize=(6, 4.2), layout="constrained")
     trajectory(figure.add_subplot(projection="3d"), episode, c, top_speed)
     with writing(path) as file:
@@ -144,7 +144,7 @@ def trajectory_figure(episode: Episode, c: InspectionParameters, top_speed: floa
 
 
 def behaviour_figure(episodes: dict[str, Episode], c: InspectionParameters) -> Figure:
-    """Inspected weight, pointing and what was spent over time, the arms together."""
+    """Draws inspected weight, pointing, delta v and torque over time, all arms together."""
     figure = Figure(figsize=(9, 5.4), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True)
     for arm, episode in episodes.items():
@@ -170,7 +170,7 @@ def behaviour_figure(episodes: dict[str, Episode], c: InspectionParameters) -> F
 
 
 def cross_figure(cross: dict[str, dict[str, Results]]) -> Figure:
-    """Each arm's agents with the filter off (hollow) and on (filled): values with 95 % intervals."""
+    """Draws values with 95 % intervals of each arm's agents with the filter off (hollow) and on (filled)."""
     figure = Figure(figsize=(11, 3.2), layout="constrained")
     for ax, (title, name) in zip(figure.subplots(1, len(CROSS)), CROSS.items(), strict=True):
         for place, (arm, evaluations) in enumerate(cross.items()):
@@ -195,7 +195,7 @@ def cross_figure(cross: dict[str, dict[str, Results]]) -> Figure:
 
 
 def front_figure(inputs: Inputs) -> Figure:
-    """Length against delta v: each arm (large) and its seeds (small), and the guidance from thrifty to fast."""
+    """Draws delta v over length for each arm (large), its seeds (small), and the guidance from thrifty to fast."""
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
     ax = figure.subplots()
     for arm, results in inputs.everyone.items():
@@ -215,7 +215,7 @@ def front_figure(inputs: Inputs) -> Figure:
     ax.plot(*zip(*curve, strict=True), color=GUIDANCE_COLOUR, marker=".", lw=1.2, label="classical guidance")
     for name, place in zip(inputs.front, curve, strict=True):
         ax.annotate(name, place, (4, 4), textcoords="offset points", fontsize=8, color=GUIDANCE_COLOUR)
-    ax.margins(0.1)  # room for the names
+    ax.margins(0.1)  # leaves room for the names
     ax.set(xlabel="episode length (s)", ylabel="delta v (m/s)", ylim=(0, None))
     ax.grid(alpha=0.3)
     ax.legend(frameon=False, fontsize=9)
@@ -223,12 +223,12 @@ def front_figure(inputs: Inputs) -> Figure:
 
 
 def point(results: Results) -> tuple[float, float]:
-    """Length in s and delta v in m/s, IQM."""
+    """Returns the IQM of length in s and of delta v in m/s."""
     return results["metrics"]["episode_length_s"]["iqm"], results["metrics"]["delta_v_m_s"]["iqm"]
 
 
 def progress_figure(progress: dict[str, dict[str, list[float]]]) -> Figure:
-    """The inspected weight over time of every arm's agents and of the guidance."""
+    """Draws the inspected weight over time of every arm's agents and of the guidance."""
     figure = Figure(figsize=(7.2, 3.6), layout="constrained")
     ax = figure.subplots()
     arms = [name for name in progress if name != "guidance"]

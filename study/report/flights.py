@@ -1,4 +1,4 @@
-"""What a report flies: agents behind other filters and in other worlds, and the guidance."""
+"""Flights of a report: agents with other filters and in other plants, and the guidance."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -33,15 +33,15 @@ DEMONSTRATION = ROOT / "configs" / "demonstration.json"
 DEMONSTRATION_DURATION = 2000.0  # s
 FILTER_PERIOD = 1.0  # s between two calls of the filter
 PLANTS = ROOT / "configs" / "plants"
-WORLDS = ("nominal", "typical", "u1", "harsh")  # files there
-BOUNDS = PLANTS / "u1.toml"  # of the robust filter
-WORLDS_CASES = 10  # of each seed in each world
+WORLDS = ("nominal", "typical", "u1", "harsh")  # names of files in PLANTS
+BOUNDS = PLANTS / "u1.toml"  # has the error bounds of the robust filter
+WORLDS_CASES = 10  # test cases of each seed in each plant
 PROGRESS_UNTIL = 5000.0  # s
 Arrays = dict[str, np.ndarray]
 
 
 def cross(arms: dict[str, Arm]) -> dict[str, dict[str, Results]]:
-    """Each arm's agents without filter and behind it, called as in the study."""
+    """Flies each arm's agents without and with the filter, called as often as in the study."""
     return {
         name: {
             "off": evaluate(arm, rta=False, period=arm.config.rta.period),
@@ -52,22 +52,22 @@ def cross(arms: dict[str, Arm]) -> dict[str, dict[str, Results]]:
 
 
 def frequency(arm: Arm) -> dict[str, Results]:
-    """An arm's agents behind the filter called every 1, 5 and 10 s."""
+    """Flies an arm's agents with the filter called every 1, 5 and 10 s."""
     return {f"{period:g}": evaluate(arm, rta=True, period=period) for period in PERIODS}
 
 
 def with_rta(config: Config, rta: bool, period: float) -> Config:
-    """The configuration with the filter off or called every `period` s."""
+    """Returns the configuration with the filter off or called every `period` s."""
     return replace(config, train=replace(config.train, rta=rta), rta=replace(config.rta, period=period))
 
 
 def evaluate(arm: Arm, rta: bool, period: float) -> Results:
-    """The arm's agents on the study's test cases, the filter off or called every `period` s."""
+    """Evaluates the arm's agents on the study's test cases, with the filter off or called every `period` s."""
     return flown_with(arm, with_rta(arm.config, rta, period))
 
 
 def flown_with(arm: Arm, config: Config) -> Results:
-    """The arm's agents on the study's test cases with another configuration; with the arm's the study's own results."""
+    """Evaluates the arm's agents with a configuration; returns the study's own results if it is the arm's."""
     if config == arm.config:
         return arm.results
     record, config = flights_with(arm, config)
@@ -75,19 +75,19 @@ def flown_with(arm: Arm, config: Config) -> Results:
 
 
 def flights_with(arm: Arm, config: Config) -> tuple[Episodes, Config]:
-    """The episodes of the arm's agents on the study's test cases, and the configuration as it was flown."""
+    """Flies the arm's agents on the study's test cases; returns their episodes and the settled configuration."""
     episodes = config.train.final_episodes
     experiment = Experiment(config, len(arm.digests) * episodes)
     return play(arm.policy.to(experiment.device), experiment, episodes, TEST_CASES), experiment.config
 
 
 def unlearned(config: Config, rta: bool, episodes: int) -> Experiment:
-    """What flies controllers that are not trained, with the filter off or called as in the study."""
+    """Returns an experiment for controllers that are not trained, with the filter off or called as in the study."""
     return Experiment(with_rta(config, rta, config.rta.period).with_solver("auto"), episodes)
 
 
 def baselines(config: Config) -> dict[str, dict[str, Results]]:
-    """Every controller that is not trained, of BASELINES, on the study's test cases, without filter and behind it."""
+    """Evaluates every controller of BASELINES on the study's test cases, without and with the filter."""
     episodes = config.train.final_episodes
     experiments = {"off": unlearned(config, False, episodes), "on": unlearned(config, True, episodes)}
 
@@ -102,7 +102,7 @@ def baselines(config: Config) -> dict[str, dict[str, Results]]:
 
 
 def front(config: Config) -> dict[str, Results]:
-    """By name, each guidance that leads the Sun behind the filter, deciding as often as that is called."""
+    """Evaluates by name each guidance that leads the Sun, with the filter; it decides at each call of the filter."""
     cases = config.train.final_episodes
     experiment = Experiment(with_rta(config, True, FILTER_PERIOD), cases)
 
@@ -114,9 +114,9 @@ def front(config: Config) -> dict[str, Results]:
 
 
 def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:
-    """By plant and arm: its agents without filter, behind one of the model and behind one with error bounds.
+    """Evaluates by plant and arm the agents without filter, with the nominal filter and with one that has error bounds.
 
-    The filter is called every second: its bounds are those of a spacecraft that does so.
+    The filter is called every second, because its error bounds belong to a spacecraft with this filter period.
     """
     bounds = load(BOUNDS, Config()).uncertainty
     filters = {"off": (False, Uncertainty()), "nominal": (True, Uncertainty()), "robust": (True, bounds)}
@@ -130,7 +130,7 @@ def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:
 
 
 def side_by_side(arms: dict[str, Arm]) -> list[list[str]]:
-    """The names of arms, in groups whose agents can fly in one environment: what it is made from is the same."""
+    """Returns names of arms in groups whose agents can fly in one environment, since their settings agree."""
     groups: list[tuple[tuple[Any, ...], list[str]]] = []
     for name, arm in arms.items():
         config = with_rta(arm.config, True, FILTER_PERIOD).with_solver("auto")
@@ -152,7 +152,7 @@ def in_world(arms: Sequence[Arm], plant: str, rta: bool, uncertainty: Uncertaint
     """Flies the agents of arms side by side in the plant of a file, the filter on or off and with this uncertainty."""
     first = arms[0]
     own = with_rta(first.config, rta, FILTER_PERIOD).with_solver("auto")
-    if not uncertainty.is_zero:  # of which the paper's filter knows nothing
+    if not uncertainty.is_zero:  # the paper's filter has no error bounds
         own = replace(own, rta=replace(own.rta, filter="checked"))
     config = replace(
         own,
@@ -168,7 +168,7 @@ def in_world(arms: Sequence[Arm], plant: str, rta: bool, uncertainty: Uncertaint
 
 
 def in_short(record: Episodes, config: Config, seeds: int) -> Results:
-    """`report` with the reward of each seed, and without the configuration, of which there are many here."""
+    """Returns `report` with the reward of each seed, and without the configuration, which would be repeated often."""
     rewards = record.metrics[METRICS.index("reward")].unflatten(0, (seeds, -1)).cpu().numpy()
     results = report(record, config, TEST_CASES, seeds)
     del results["config"]
@@ -176,7 +176,7 @@ def in_short(record: Episodes, config: Config, seeds: int) -> Results:
 
 
 def progress(arms: dict[str, Arm], config: Config) -> dict[str, dict[str, list[float]]]:
-    """By arm, and "guidance" behind the filter: the inspected weight over time, IQM over the study's episodes."""
+    """Returns by arm, and for "guidance" with the filter, the inspected weight over time, IQM over the test cases."""
     cases = config.train.final_episodes
     every = FILTER_PERIOD
     experiment = Experiment(with_rta(config, True, every).with_solver("auto"), cases)
@@ -187,7 +187,7 @@ def progress(arms: dict[str, Arm], config: Config) -> dict[str, dict[str, list[f
 
 
 def arm_progress(arm: Arm) -> dict[str, list[float]]:
-    """The inspected weight over time of an arm's agents."""
+    """Returns the inspected weight over time of an arm's agents."""
     seeds, cases = len(arm.digests), arm.config.train.final_episodes
     experiment = Experiment(arm.config, seeds * cases)
     env = experiment.env(cases, experiment.generators([TEST_CASES] * seeds), compiled=experiment.compiled)
@@ -196,7 +196,7 @@ def arm_progress(arm: Arm) -> dict[str, list[float]]:
 
 
 class Weights(Observer):
-    """The inspected weight of every episode over time, a place for each action; an ended episode keeps its last."""
+    """Keeps every episode's inspected weight at the start and after each action; ended episodes keep their last."""
 
     def begin(self, env: InspectionEnv, limits: Limits) -> None:
         self.weights = [env.sight.score()]
@@ -207,7 +207,7 @@ class Weights(Observer):
 
 
 def weights_over_time(env: InspectionEnv, controller: Controller, starts: Starts) -> dict[str, list[float]]:
-    """`time_s`, and by then the inspected `weight`, mean of the middle half; an ended episode keeps its last."""
+    """Returns `time_s` and the inspected `weight` then, mean of the middle half; ended episodes keep their last."""
     flown, every = Weights(), env.c.action_period
     fly(env, controller, starts, observers=[flown])
     count = round(PROGRESS_UNTIL / every) + 1
@@ -219,13 +219,13 @@ def weights_over_time(env: InspectionEnv, controller: Controller, starts: Starts
 
 
 def episode(arm: Arm) -> Arrays:
-    """The first seed's episode from the first test case, in the configuration of training."""
+    """Flies the first seed from the first test case, in the configuration of training."""
     experiment = Experiment(arm.config, 1)
     return common_episode(arm.of_seed(0).to(experiment.device), experiment)
 
 
 def worst_success(path: Path) -> tuple[int, int] | None:
-    """Seed's place and case of the success that violates limits for the largest share of its time, if any does."""
+    """Returns seed's place and case of the success that violates limits for the largest share of its time, if any."""
     names = "outcome", "outcome_names", "violation_seconds"
     episodes = load_arrays(path, names, "episodes of an arm", "")
     with as_input_error(f"{path}: not the episodes of an arm", *MALFORMED):
@@ -236,14 +236,14 @@ def worst_success(path: Path) -> tuple[int, int] | None:
 
 
 def violation(arm: Arm, place: int, case: int) -> Arrays:
-    """The episode of an arm's seed from a test case, with its `seed` and `case`."""
+    """Flies an arm's seed from a test case; returns the episode with its `seed` and `case`."""
     experiment = Experiment(arm.config, 1)
     flown = common_episode(arm.of_seed(place).to(experiment.device), experiment, case)
     return flown | {"seed": np.array(arm.results["seeds"][place]), "case": np.array(case)}
 
 
 def demonstration(config: Config, rta: bool) -> Arrays:
-    """A classical controller that heads for the limits, with or without the filter."""
+    """Flies a classical controller that heads for the limits, with or without the filter."""
     experiment = Experiment(with_rta(config, rta, config.rta.period), 1, DEMONSTRATION_DURATION)
     step = config.inspection.substep
     start = starting_point(str(DEMONSTRATION), experiment, TEST_CASES)

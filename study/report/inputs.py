@@ -1,4 +1,4 @@
-"""What a report shows: the files of a study that `study` and `report` wrote."""
+"""Inputs of a report: the files of a study that `study` and `report` wrote."""
 
 import csv
 from dataclasses import dataclass
@@ -19,21 +19,21 @@ Curves = dict[str, dict[str, np.ndarray]]  # by metric and arm: (k, 4) interacti
 
 @dataclass(frozen=True)
 class Inputs:
-    """Contents of a study's files; what belongs to an arm that the study left out is missing.
+    """Holds the contents of a study's files; entries for arms that the study left out are missing.
 
     Attributes:
         arms: final evaluation of each of the paper's arms, with `seeds`, `interactions` and `wall_clock_s`; own: of the
             study's own arms.
-        provenance: where they were trained, with `device`, `ranks` and `threads`.
-        front: by name, the guidance behind the filter; empty if it has not been flown.
-        worlds: by plant, arm and filter (off, nominal, robust): the agents in worlds that are not the model; empty if
-            they have not been flown there.
-        progress: by arm, and "guidance": time_s and the inspected weight by then, mean of the middle half.
+        provenance: machine of the training, with `device`, `ranks` and `threads`.
+        front: by name, the guidance with the filter; empty if it has not been flown.
+        worlds: by plant, arm and filter (off, nominal, robust): the agents in other plants; empty if they have not been
+            flown there.
+        progress: by arm, and "guidance": time_s and the inspected weight at this time, mean of the middle half.
         sunlight: the earliest success that the Sun allows in the test cases; empty if it is not known.
         cross: by arm, then "off" and "on": its agents without and with the filter.
-        frequency: by period in s: the agents trained behind the filter; empty if there are none.
-        baselines: by controller, then "off" and "on", what is not trained; empty if it has not been evaluated.
-        training: empty where training was shorter than the interval of its evaluations.
+        frequency: by period in s: the agents trained with the filter; empty if there are none.
+        baselines: by controller that is not trained, then "off" and "on"; empty if they have not been evaluated.
+        training: empty if training was shorter than the interval of its evaluations.
         violation: an episode of the agents without RTA, with its `seed` and `case`; empty if it has not been flown.
         episodes, demonstrations: by arm, in the form of `simulate`.
     """
@@ -57,27 +57,27 @@ class Inputs:
 
     @property
     def directory(self) -> Path:
-        """Where the report's figures and data are."""
+        """Returns the directory of the report's figures and data."""
         return self.study / "report"
 
     @property
     def everyone(self) -> dict[str, Results]:
-        """All arms, the paper's first."""
+        """Returns all arms, the paper's first."""
         return self.arms | self.own
 
     @property
     def guidance(self) -> Results:
-        """Evaluation of the guidance GUIDE behind the filter; empty if it has not been flown."""
+        """Returns the evaluation of the guidance GUIDE with the filter; empty if it has not been flown."""
         return self.front.get(GUIDE, {})
 
     @property
     def columns(self) -> dict[str, Results]:
-        """Those of Tables 2 and 3: the arms and "guidance"."""
+        """Returns the columns of Tables 2 and 3: the paper's arms and "guidance", if it has been flown."""
         return self.arms | ({"guidance": self.guidance} if self.guidance else {})
 
 
 def read_settings(study: Path) -> StudyConfig:
-    """Returns the configuration of a finished study; raises InputError where it cannot be read."""
+    """Returns the configuration of a finished study; raises InputError if it cannot be read."""
     path = study / "config.toml"
     with as_input_error(f"{path}: cannot read the configuration", OSError, ValueError):
         return recorded(path.read_text(encoding="utf-8"), str(path), StudyConfig())
@@ -112,12 +112,12 @@ def read(study: Path) -> Inputs:
 
 
 def read_json_if_any(path: Path) -> dict[str, Any]:
-    """Returns the object in a JSON file; an empty object where there is none."""
+    """Returns the object in a JSON file; an empty object if there is no file."""
     return read_json(path, RESULTS) if path.exists() else {}
 
 
 def read_arms(study: Path, own: bool = False) -> dict[str, Results]:
-    """The final evaluation of each of ARMS that has seeds, in that order, or of each of the study's own."""
+    """Returns final evaluations of arms with seeds: of ARMS in their order or, if `own`, of the study's own arms."""
     path = study / "results.json"
     with as_input_error(f"{path}: not the results of a study", *MALFORMED):
         arms = read_json(path, RESULTS)["arms"]
@@ -128,7 +128,7 @@ def read_arms(study: Path, own: bool = False) -> dict[str, Results]:
 
 
 def read_curves(path: Path) -> Curves:
-    """The training curves, from a table with the columns interactions, arm, metric, iqm, low and high."""
+    """Reads the training curves from a table with the columns interactions, arm, metric, iqm, low and high."""
     points: dict[str, dict[str, list[list[float]]]] = {}
     with as_input_error(f"{path}: not the training curves", OSError, ValueError, KeyError):
         for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
@@ -138,5 +138,5 @@ def read_curves(path: Path) -> Curves:
 
 
 def read_episode(path: Path) -> Episode:
-    """An episode in the form of `simulate`."""
+    """Reads an episode in the form of `simulate`."""
     return read_npz(path, "episode")

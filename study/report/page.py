@@ -1,6 +1,6 @@
 """The report's page, self-contained: every table and figure of a study, and links to the files behind them.
 
-What it says stands in `page.html.j2`, what every page shares in `study/web`.
+The text of the page is in `page.html.j2`, the parts that all pages share are in `study/web`.
 """
 
 import base64
@@ -24,17 +24,17 @@ from study.report.tables import of_seeds, over_seeds, throughput
 from study.web import replay
 from study.web.template import render
 
-REPLAYED_ROWS = 400  # of an episode, about one per action: three.js is most of its page
+REPLAYED_ROWS = 400  # of an episode, about one per action; three.js is most of the page
 MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 PAPER = PAPER_METRICS | PAPER_VIOLATIONS
 DIGITS = {name: paper.digits for name, paper in PAPER.items()} | {"success": 1}
 
 
 def write(inputs: Inputs) -> None:
-    """Writes `report.html`, whose figures have been drawn, and the replay of the arms' episodes that it links to.
+    """Writes `report.html`, whose figures exist already, and the replay of the arms' episodes that it links to.
 
     Raises:
-        InputError: they cannot be written.
+        InputError: the pages cannot be written.
     """
     if inputs.arms:
         episodes = [str(inputs.directory / f"episode_{arm}.npz") for arm in inputs.arms]
@@ -44,7 +44,7 @@ def write(inputs: Inputs) -> None:
 
 
 def document(inputs: Inputs) -> str:
-    """The whole page."""
+    """Returns the whole page."""
     return render(
         "report/page.html.j2",
         filters=FILTERS,
@@ -76,37 +76,37 @@ def document(inputs: Inputs) -> str:
 
 
 def fixed(value: float, digits: int) -> str:
-    """A number with so many digits behind the point."""
+    """Returns a number with `digits` digits after the decimal point."""
     return f"{value:.{digits}f}"
 
 
 def percent(value: float, digits: int = 3) -> str:
-    """Three digits, as in the paper's Table 3; what they would hide is not called zero."""
+    """Returns a percentage with three digits, as the paper's Table 3; "< 0.001" if a positive one would look like 0."""
     text = fixed(value, digits)
     return f"< {fixed(10**-digits, digits)}" if value > 0.0 and float(text) == 0.0 else text
 
 
 def plain(number: Estimate, digits: int) -> str:
-    """A metric without its interval, or a percentage."""
+    """Returns a metric without its interval, or a percentage."""
     return (fixed if number.interval else percent)(number.value, digits)
 
 
-# of the template
+# filters of the template
 FILTERS: dict[str, Callable[..., str]] = {"fixed": fixed, "percent": percent, "plain": plain}
 
 
 def shown(results: Results, name: str) -> str:
-    """What an evaluation gives for a metric, a constraint or "success", with the digits of the paper's tables."""
+    """Returns an evaluation's number for a metric, a constraint or "success", with the digits of the paper's tables."""
     return plain(measured(results, name), DIGITS[name])
 
 
 def published(arm: str, name: str) -> str:
-    """What the paper has in its place."""
+    """Returns the paper's number for a metric or a constraint and an arm."""
     return plain(PAPER[name].by_arm[arm], DIGITS[name])
 
 
 def difference(ours: Estimate, paper: Estimate, digits: int) -> tuple[str, bool]:
-    """Ours less the paper's; whether the two have intervals with nothing in common."""
+    """Returns our number minus the paper's, and whether both have intervals and these do not overlap."""
     apart = False
     if ours.interval and paper.interval:
         apart = ours.interval[0] > paper.interval[1] or ours.interval[1] < paper.interval[0]
@@ -114,22 +114,22 @@ def difference(ours: Estimate, paper: Estimate, digits: int) -> tuple[str, bool]
 
 
 def worst_seed(results: Results) -> float:
-    """The lowest reward (IQM) of an arm's seeds."""
+    """Returns the lowest reward (IQM) of an arm's seeds."""
     return min(of_seeds(results, "reward"))
 
 
 def other_world(results: Results) -> bool:
-    """Whether an arm flew in a plant that is not the model."""
+    """Tells whether an arm flew in a plant that is not the model."""
     return results["config"]["plant"] != asdict(PlantParameters())
 
 
 def weight_at(curve: dict[str, list[float]], time: float) -> float:
-    """The inspected weight after so many s, of a curve of `progress`."""
+    """Returns the inspected weight after `time` s from a curve of `progress`."""
     return float(np.interp(time, curve["time_s"], curve["weight"]))
 
 
 def violated(episode: Episode) -> dict[str, str]:
-    """The constraints that an episode violates at some row, with their share of its time in percent."""
+    """Returns the constraints that an episode violates in some row, with the share of violating rows in percent."""
     shares = {
         name[2:]: 100.0 * float(np.mean(h < 0.0)) for name, h in episode.items() if name.startswith("h_")
     }
@@ -137,13 +137,13 @@ def violated(episode: Episode) -> dict[str, str]:
 
 
 def embedded(directory: Path, name: str) -> str:
-    """The address of an image that is part of the page."""
+    """Returns an image as a data URL, which makes it part of the page."""
     path = directory / name
     return f"data:{MEDIA_TYPES[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
 def matching(study: Path, patterns: Sequence[str]) -> list[str]:
-    """Files below a study that match the patterns, seen from there."""
+    """Returns files below a study that match the patterns, as paths relative to the study."""
     return [
         path.relative_to(study).as_posix() for pattern in patterns for path in sorted(study.glob(pattern))
     ]

@@ -1,4 +1,4 @@
-"""What the Sun allows: no spacecraft can inspect a point before it has been lit."""
+"""A bound by sunlight: no spacecraft can inspect a point before the Sun has lit it."""
 
 from typing import Any
 
@@ -24,11 +24,11 @@ def earliest_success(
     target: ChiefParameters | None = None,
     number: Tensor | None = None,
 ) -> Tensor:
-    """Time in s at which the points lit so far first weigh enough for success; infinite if not until the timeout.
+    """Returns the time in s when the points lit so far first weigh enough for success; infinite after the timeout.
 
     Args:
         theta_s: (B,) the Sun's angle at the start; priority: (3, B).
-        target: the chief; number: (B,) from which its motion follows, if it is drawn.
+        target: the chief; number: (B,) which determines its motion, if this is drawn.
     """
     target = target or ChiefParameters()
     whole, tumbling = surface(target, c), Tumbling(target, c, len(theta_s))
@@ -49,9 +49,9 @@ def earliest_success(
 
 
 def shortest_episodes(config: Config, episodes: int, seed: int) -> dict[str, Any]:
-    """`summary` of `earliest_success` over the common test cases, and how many have none before the timeout.
+    """Returns `summary` of `earliest_success` over the test cases, and how many have no success before the timeout.
 
-    These count with the timeout.
+    Cases without success enter the summary with the timeout.
     """
     x, priority, number = test_cases(config, episodes, seed)
     times = earliest_success(x[THETA_S], priority, config.inspection, config.chief, number)

@@ -1,4 +1,4 @@
-"""The tables behind a study's report, one CSV file each."""
+"""The tables of a study's report, one CSV file each."""
 
 import csv
 import io
@@ -25,10 +25,10 @@ TRAINING = ("interactions", "arm", "metric", "iqm", "low", "high")
 
 
 def write(inputs: Inputs) -> None:
-    """Writes the tables of a finished study, that of the training curves aside, which `compute` keeps.
+    """Writes the tables of a finished study, except the training curves, which `compute` writes.
 
     Raises:
-        InputError: what they are made from is damaged, or they cannot be written.
+        InputError: the data are damaged, or the tables cannot be written.
     """
     with as_input_error(f"--study {inputs.study}: cannot read what its tables are made from", *MALFORMED):
         tables = {
@@ -56,7 +56,7 @@ def write(inputs: Inputs) -> None:
 
 
 def text(rows: list[Row], columns: Iterable[str]) -> str:
-    """Rows as CSV, with all digits."""
+    """Returns rows as CSV, with all digits."""
     file = io.StringIO()
     writer = csv.DictWriter(file, list(columns), lineterminator="\n")
     writer.writeheader()
@@ -65,7 +65,7 @@ def text(rows: list[Row], columns: Iterable[str]) -> str:
 
 
 def columns_of(name: str, number: Estimate) -> Row:
-    """An IQM and its 95 % interval as three columns, a percentage as one."""
+    """Returns an IQM and its 95 % interval as three columns, or a percentage as one."""
     if number.interval is None:
         return {f"{name}_percent": number.value}
     low, high = number.interval
@@ -73,7 +73,7 @@ def columns_of(name: str, number: Estimate) -> Row:
 
 
 def comparison(kind: str, published: dict[str, Published], columns: dict[str, Results]) -> list[Row]:
-    """Table 2 or 3, a row per metric or constraint: ours; for an arm also the paper's, and ours less the paper's."""
+    """Returns Table 2 or 3, a row per metric or constraint: ours and, for arms, the paper's and the difference."""
     rows = []
     for key, paper in published.items():
         row: Row = {kind: key, "label": paper.label}
@@ -89,7 +89,7 @@ def comparison(kind: str, published: dict[str, Published], columns: dict[str, Re
 
 
 def evaluation(results: Results) -> Row:
-    """An evaluation as one row."""
+    """Returns an evaluation as one row."""
     row: Row = {}
     for metric in METRICS:
         row |= columns_of(metric, measured(results, metric))
@@ -103,7 +103,7 @@ def evaluation(results: Results) -> Row:
 
 
 def tails(results: Results) -> Row:
-    """What a mean of the middle half hides, as one row: IQM and mean, tails, and every seed's IQM, lowest first."""
+    """Returns in one row what an IQM hides: success and violations, mean, tails, and every seed's IQM, lowest first."""
     row: Row = {
         "clean_success_percent": 100.0 * results["outcomes"]["clean_success"],
         "success_percent": 100.0 * results["outcomes"]["success"],
@@ -122,15 +122,15 @@ def tails(results: Results) -> Row:
 
 
 def of_seeds(results: Results, metric: str) -> list[float]:
-    """Every seed's IQM."""
+    """Returns every seed's IQM."""
     return [seed["metrics"][metric]["iqm"] for seed in results["per_seed"]]
 
 
 def over_seeds(results: Results, metric: str) -> tuple[float, float]:
-    """Where 95 % of such studies have the mean of their seeds' IQMs: Student's interval; NaN for a lone seed.
+    """Returns Student's 95 % interval of the mean of the seeds' IQMs; NaN for a single seed.
 
-    The stratified bootstrap draws seeds anew for every case, so that what sets whole seeds apart averages out; here
-    it does not.
+    The stratified bootstrap draws seeds anew for every case, so that differences between whole seeds average out. Here
+    they do not.
     """
     values = of_seeds(results, metric)
     if len(values) < 2:
@@ -140,7 +140,7 @@ def over_seeds(results: Results, metric: str) -> tuple[float, float]:
 
 
 def cross(kind: str, evaluations: dict[str, dict[str, Results]]) -> list[Row]:
-    """A row per arm or controller, as `kind` calls it, and filter (off or on)."""
+    """Returns a row per arm or controller, as `kind` names the column, and filter (off or on)."""
     return [
         {kind: flown, "filter": switch} | evaluation(results)
         for flown, switches in evaluations.items()
@@ -149,14 +149,14 @@ def cross(kind: str, evaluations: dict[str, dict[str, Results]]) -> list[Row]:
 
 
 def frequency(evaluations: dict[str, Results]) -> list[Row]:
-    """A row per filter period, in s."""
+    """Returns a row per filter period, in s."""
     return [{"period_s": period} | evaluation(results) for period, results in evaluations.items()]
 
 
 def training(arm: str, path: Path) -> list[Row]:
-    """A row per periodic evaluation in a file and metric of an arm: IQM and interval over seeds x cases.
+    """Returns a row per periodic evaluation in a file and metric of an arm: IQM and interval over seeds x cases.
 
-    None where there is no file, since training was shorter than the evaluations' interval.
+    There are no rows without a file: training was shorter than the evaluations' interval.
     """
     if not path.exists():
         return []
@@ -172,7 +172,7 @@ def training(arm: str, path: Path) -> list[Row]:
 
 
 def throughput(arms: dict[str, Results], provenance: dict[str, Any]) -> list[Row]:
-    """A row per arm: wall-clock s of its training, and interactions of all its seeds in a second of it."""
+    """Returns a row per arm: wall-clock s of its training, and interactions of all its seeds per second."""
     return [
         {
             "arm": name,

@@ -1,4 +1,4 @@
-"""The task turned around: an agent that is paid for coming near the limits, to be flown by `verify`."""
+"""The reversed task: an agent whose reward grows as it approaches the limits, for `verify`."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,17 +15,17 @@ WEIGHT = 1e-3  # with the default discount of 0.999, the discounted sum is a mea
 
 
 class Adversary:
-    """An `InspectionEnv` as `ppo.trainer.Resumable`, with another reward.
+    """Wraps an `InspectionEnv` with another reward.
 
-    With h the smallest of the attacked constraints' at the true state after the step, in filter calls to the limit
-    (`scales`), the reward is -WEIGHT asinh(h). asinh has a slope everywhere, that of h near the limit and of
-    log(h) far from it, and rewards a larger violation more. The agent comes as near as it can, and stays.
+    Let h be the smallest value of the attacked constraints at the true state after the step, in filter calls to the
+    limit (`scales`). The reward is -WEIGHT asinh(h). asinh has a slope everywhere, like h near the limit and like
+    log(h) far from it, and rewards larger violations more. The agent comes as close as it can, and stays.
 
-    Episodes end as those of the task, but the learner goes on with the value of the last state: no reward is to be had,
-    or to be saved, by ending an episode.
+    Episodes end as in the task, but the learner continues with the value of the last state, so that ending an episode
+    neither gains nor saves reward.
 
     Args:
-        attacked: constraints, among the names of `env.safety`.
+        attacked: names of constraints of `env.safety`.
     """
 
     def __init__(self, env: InspectionEnv, attacked: Sequence[str]) -> None:
@@ -36,11 +36,11 @@ class Adversary:
         self.load_state_dict = env.load_state_dict
 
     def step(self, action: Tensor) -> Transition:
-        """`InspectionEnv.step` with this reward."""
+        """Does `InspectionEnv.step`, with this reward."""
         return self.turned(self.env.step(action))
 
     def turned(self, transition: Transition) -> Transition:
-        """The same transition with this reward, truncated wherever it is done."""
+        """Returns the same transition with this reward; every end of an episode counts as truncated."""
         h = (self.env.constraint_values(transition.state)[self.rows] / self.scale).amin(0)
         reward = -WEIGHT * h.asinh()
         terms: dict[str, Any] = {"adversary": reward}

@@ -1,7 +1,8 @@
 """A policy that begins as a copy of the guidance, by dataset aggregation (DAgger: Ross, Gordon and Bagnell 2011).
 
-The first batch is flown by the guidance, the others by the policy as far as it has come, and in every state on the way
-the guidance says what it would do. The value network learns what the copy is worth. PPO goes on from there.
+The guidance flies the first batch, and the current policy flies the others. In every visited state the guidance gives
+the control that it would choose, which the policy learns. The value network learns the returns. PPO continues from
+there.
 """
 
 import math
@@ -20,26 +21,27 @@ from ppo.learner import PPO
 from ppo.network import Policy
 from ppo.rollout import collect
 
-LEARNING_RATE = 8e-3  # of the first batch, annealed linearly to a tenth
-# Share of the episodes that begin anew with each batch: the way to the orbit is a tenth of an episode, and there an
-# error is worst.
+LEARNING_RATE = 8e-3  # in the first batch, annealed linearly to a tenth
+# Share of the episodes that restart with each batch. The flight to the orbit is a tenth of an episode, and there errors
+# matter most.
 RESTARTED = 0.4
-STD_WEIGHT = 0.01  # of the squared error of the log standard deviation, which stays as it is at the start
+STD_WEIGHT = 0.01  # of the squared error of the log standard deviation, which is to keep its initial value
 
 Batch = dict[str, Tensor]  # observation, action and return_, (S, N, ...)
 
 
 class ImitationEnv:
-    """An `InspectionEnv` as `ppo.rollout.Environment`, in which the guidance says what it would do.
+    """Wraps an `InspectionEnv` as `ppo.rollout.Environment`, and keeps the actions that the guidance would choose.
 
-    It does not roll to the thrust: copies of that spend no less, and follow the rest worse (docs/results/learning.md).
+    The guidance does not roll to align thrust: policies that imitate this do not spend less, and imitate the rest worse
+    (docs/results/learning.md).
 
     Args:
-        policy: whose actions are meant; orbit: of the guidance.
+        policy: defines the form of the actions; orbit: of the guidance.
 
     Attributes:
         leads: the guidance acts, not the policy.
-        lessons: of each step since they were taken last, the actions (B, 6) that the guidance wants.
+        lessons: the guidance's actions (B, 6) in each step of the batch.
     """
 
     def __init__(self, env: InspectionEnv, policy: Policy, orbit: Orbit) -> None:
@@ -49,30 +51,30 @@ class ImitationEnv:
         self.lessons: list[Tensor] = []
 
     def reset(self, mask: Tensor) -> None:
-        """`InspectionEnv.reset`, before a batch."""
+        """Does `InspectionEnv.reset`, before a batch."""
         self.observed = self.env.reset(mask)
 
     def observation(self) -> Tensor:
-        """What the reset has observed; a batch asks for no more."""
+        """Returns the observation after the reset; a batch asks for no other."""
         return self.observed
 
     def step(self, action: Tensor) -> Transition:
-        """`InspectionEnv.step`; the guidance knows the true states."""
+        """Does `InspectionEnv.step` and keeps the guidance's action, which follows from the true states."""
         control = (self.guidance(0.0, self.env.x) / self.env.limit).T.float()
         self.lessons.append(self.policy.unshaped(control))
         return self.env.step(control if self.leads else action)
 
 
 class JumpStart:
-    """Teaches a learner's policy the guidance, and its value network what the policy is worth, batch by batch.
+    """Trains a learner's policy to imitate the guidance, and its value network the returns, batch by batch.
 
     Args:
-        env: already reset; orbit: of the guidance; steps: interactions of each episode in a batch; batches: in all.
+        env: already reset; orbit: of the guidance; steps: interactions of each episode in a batch; batches: in total.
         generators: one per seed.
 
     Attributes:
-        taught: batches so far.
-        latest: what the last one was taught, (S, N, ...); `flown`: that of all of them.
+        taught: number of batches so far.
+        latest: the data of the last batch, (S, N, ...); `flown`: the data of all batches.
     """
 
     def __init__(
@@ -98,17 +100,17 @@ class JumpStart:
 
     @property
     def done(self) -> bool:
-        """Whether nothing is left to be taught."""
+        """Tells whether the imitation phase is over."""
         return self.taught >= self.batches
 
     def teach(self, watch: Callable[[Transition], None]) -> dict[str, float]:
-        """Flies one more batch and learns from all of them.
+        """Flies one more batch and learns from all batches.
 
         Args:
             watch: sees each transition.
 
         Returns:
-            The losses, and how long it took, by TensorBoard's tags.
+            The losses and the duration in s, by TensorBoard's tags.
         """
         self.optimiser.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - 0.9 * self.taught / self.batches)
         started = time.perf_counter()
@@ -131,18 +133,18 @@ class JumpStart:
         }
 
     def remember(self, batch: Batch) -> None:
-        """Adds what a batch was taught to that of those before it."""
+        """Appends the data of a batch to the data of earlier batches."""
         self.flown = {
             name: torch.cat((self.flown[name], part), 1) if self.flown else part
             for name, part in batch.items()
         }
 
     def state_dict(self) -> dict[str, Any]:
-        """What continues it exactly, beside learner, environment, generators and what was flown."""
+        """Returns what is needed to continue exactly, besides learner, environment, generators and the data."""
         return {"taught": self.taught, "optimiser": self.optimiser.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any], batches: Sequence[Batch]) -> None:
-        """Restores `state_dict`, and what was taught in each batch."""
+        """Restores `state_dict`, and the data of each batch."""
         self.taught = int(state["taught"])
         self.optimiser.load_state_dict(state["optimiser"])
         for batch in batches:
@@ -150,9 +152,9 @@ class JumpStart:
 
 
 def learn(batch: Batch, learner: PPO, optimiser: torch.optim.Optimizer) -> dict[str, float]:
-    """Fits policy and value to all that has been flown, (S, N, ...), in as many epochs as an update of PPO has.
+    """Fits policy and value to all data, (S, N, ...), in as many epochs as an update of PPO has.
 
-    Returns the mean squared errors on the way: `action` of the actions, `value` of the returns.
+    Returns the mean squared errors over all minibatches: `action` of the actions, `value` of the returns.
     """
     level = math.log(learner.parameters.initial_std)
     rows = {name: tensor.flatten(0, 1) for name, tensor in batch.items()}

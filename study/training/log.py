@@ -1,4 +1,4 @@
-"""What a training run shows and keeps of its course: TensorBoard, a progress bar, evaluations.jsonl."""
+"""The log of a training run: TensorBoard, a progress bar, evaluations.jsonl."""
 
 import json
 import sys
@@ -27,9 +27,9 @@ MEANING = (
     "over the latest ones (dv: delta v, violation: share of their steps that broke a limit); flying test cases: an "
     "evaluation of the agent so far"
 )
-LESSON = "losses/lesson_action"  # only a lesson of the guidance has it
+LESSON = "losses/lesson_action"  # a tag of the imitation phase only
 TAUGHT = "learning from the guidance"
-# The episode's number and how it is written beside the bar
+# metric of an episode, and its format beside the bar
 LATEST = {
     "success_percent": "success {:.0f} %",
     "reward": "reward {:.2f}",
@@ -39,7 +39,7 @@ LATEST = {
 
 
 class Log:
-    """The log of a run in its directory; of several seeds side by side, each also has charts in its own.
+    """Logs a run in its directory; several seeds side by side also have charts in their own directories.
 
     Args:
         seed_dirs: the seeds' directories; batch: interactions of each seed in an update.
@@ -52,10 +52,10 @@ class Log:
 
     @contextmanager
     def open(self, interactions: int, total: int, settings: str) -> Iterator[None]:
-        """Shows training from so many interactions of each seed on; what was drawn after them is forgotten.
+        """Shows training from `interactions` of each seed on; removes points that were drawn after this number.
 
         Args:
-            settings: of the run, as TOML.
+            total: interactions of each seed in the end; settings: of the run, as TOML.
         """
         with leaving_it_to_the_caller():
             self.charts = [charts_in(folder, interactions + 1) for folder in self.folders]
@@ -72,14 +72,14 @@ class Log:
                         charts.close()
 
     def draw(self, charts: SummaryWriter, scalars: Mapping[str, float], interactions: int) -> None:
-        """Adds a point to each chart."""
+        """Adds a point to the chart of each scalar."""
         with naming(file_of(charts)):
             for tag, value in scalars.items():
                 charts.add_scalar(tag, value, interactions)
             charts.flush()
 
     def update(self, reports: Sequence[tuple[dict[str, float], Monitor]], interactions: int) -> None:
-        """Shows the statistics and the transitions of an update, or of a lesson, from each rank."""
+        """Shows the statistics and the transitions of an update, or of an imitation batch, from each rank."""
         parts, (monitor, *others) = zip(*reports, strict=True)
         seeds = [each.seeds for _, each in reports]
         for other in others:
@@ -104,10 +104,10 @@ class Log:
     def evaluation(
         self, record: Episodes, reports: Sequence[dict[str, Any]], interactions: int, seconds: float
     ) -> None:
-        """Shows the episodes of a periodic evaluation; a line per seed in evaluations.jsonl, with every case's metrics.
+        """Shows the episodes of a periodic evaluation; writes a line per seed with all metrics to evaluations.jsonl.
 
         Args:
-            record: episodes of all seeds; reports: of each seed's; seconds: wall-clock of training so far.
+            record: episodes of all seeds; reports: one per seed; seconds: wall-clock s of training so far.
         """
         episodes = record.split(self.seeds)
         for charts, shown in zip(self.charts, (record, *episodes), strict=False):
@@ -121,24 +121,24 @@ class Log:
             file.writelines(lines)
 
     def begun(self) -> bool:
-        """Whether anything has been evaluated."""
+        """Tells whether anything has been evaluated."""
         return self.evaluations.is_file() and self.evaluations.stat().st_size > 0
 
     def forget_evaluations_after(self, interactions: int) -> None:
-        """Drops what a run that was killed had evaluated after its last checkpoint."""
+        """Deletes the evaluations of a killed run after its last checkpoint."""
         if self.evaluations.is_file():
             lines = self.evaluations.read_text(encoding="utf-8").splitlines(keepends=True)
             whole = [line for line in lines if line.endswith("\n")]
             with as_input_error(f"{self.evaluations}: not the evaluations of a run", *MALFORMED):
                 kept = [line for line in whole if as_object(line)["interactions"] <= interactions]
-            kept = kept[: len(kept) // self.seeds * self.seeds]  # of all seeds, or of none
+            kept = kept[: len(kept) // self.seeds * self.seeds]  # lines of all seeds, or of none
             if kept != lines:
                 write_text(self.evaluations, "".join(kept))
 
 
 @contextmanager
 def leaving_it_to_the_caller() -> Iterator[None]:
-    """Keeps TensorBoard's threads from printing what they could not write; the next flush raises it."""
+    """Keeps TensorBoard's threads from printing write errors, because the next flush raises them."""
     usual = threading.excepthook
 
     def hook(failed: threading.ExceptHookArgs) -> None:
@@ -153,19 +153,19 @@ def leaving_it_to_the_caller() -> Iterator[None]:
 
 
 def charts_in(folder: Path, forgotten: int) -> SummaryWriter:
-    """Returns charts in a folder, in which whatever an earlier run drew from so many interactions on is forgotten."""
+    """Returns charts in a folder, without points that an earlier run drew from `forgotten` interactions on."""
     with naming(folder):
         return SummaryWriter(str(folder), purge_step=forgotten)
 
 
 def file_of(charts: SummaryWriter) -> str:
     """Returns the name of the file that charts are written to."""
-    writer: Any = charts.file_writer  # None where it is closed
+    writer: Any = charts.file_writer  # None if it is closed
     return str(writer.event_writer._file_name)
 
 
 def evaluation_scalars(record: Episodes) -> dict[str, float]:
-    """What TensorBoard shows of evaluated episodes."""
+    """Returns TensorBoard's scalars of evaluated episodes."""
     success = 100.0 * (record.outcome == OUTCOMES.index("success")).double().mean().item()
     values = *(float(iqm(metric)) for metric in record.metrics.cpu().numpy()), success
     return {f"evaluation/{name}": value for name, value in zip(EPISODE, values, strict=True)}

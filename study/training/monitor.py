@@ -1,4 +1,4 @@
-"""What a training run reports of its environment: one set of scalars per update, and the limits broken in all of it.
+"""A training run's reports on its environment: one set of scalars per update, and violated limits in all of training.
 
 Every tag is explained in docs/reference/commands.md.
 """
@@ -19,10 +19,10 @@ EPISODE = tuple(name.removeprefix("episode_") for name in (*METRICS, "success_pe
 
 
 class Exposure:
-    """Counts the limits broken in all of training, with the smallest h, at the ends of steps.
+    """Counts violated limits in all of training, and keeps the smallest h, both at the ends of steps.
 
     Attributes:
-        violated: (constraints + 1, B) interactions of each episode slot that ended beyond a limit, the last row any.
+        violated: (constraints + 1, B) interactions of each episode slot that ended with a violation, the last row any.
         worst: (constraints, B) smallest h; counted: (B,) interactions.
     """
 
@@ -33,14 +33,14 @@ class Exposure:
         self.counted = torch.zeros(slots, dtype=torch.int64, device=device)
 
     def __call__(self, transition: Transition) -> None:
-        """Takes in one interaction of the batch."""
+        """Adds one interaction of the batch."""
         self.violated[:-1] += transition.violated
         self.violated[-1] += transition.violated.any(0)
         self.worst = torch.minimum(self.worst, transition.h)
         self.counted += 1
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Returns what a resumed run needs."""
+        """Returns the state that a resumed run needs."""
         return {"violated": self.violated, "worst": self.worst, "counted": self.counted}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
@@ -48,9 +48,9 @@ class Exposure:
         self.violated, self.worst, self.counted = (state[name] for name in ("violated", "worst", "counted"))
 
     def report(self, seeds: int) -> list[dict[str, Any]]:
-        """Returns for each seed how many interactions were counted, the percentage that broke a limit, the smallest h.
+        """Returns for each seed how many interactions were counted, the percentage with violations, and the smallest h.
 
-        A run that an older revision began has counted those since; empty where there are none.
+        A run that an older revision began has counted only the later interactions; the list is empty if there are none.
         """
         counted = self.counted.unflatten(0, (seeds, -1)).sum(1)
         if not counted.all():
@@ -68,10 +68,10 @@ class Exposure:
 
 
 class LatestEpisodes:
-    """Keeps the last episode that each slot has ended, whose means the charts show once every slot has ended one.
+    """Keeps the last ended episode of each slot; the charts show their means once every slot has ended one.
 
-    All episodes of a run begin together. The first to end are the short ones, which behind the filter are successes, so
-    that means over whatever ended in an update say too much of these. One episode of each slot is a fair sample.
+    All episodes of a run begin together. Short episodes end first, and with the filter these are successes, so that
+    means over the episodes that ended in an update would be biased. One episode of each slot is a fair sample.
 
     Attributes:
         metrics: (7, B) in the order of EPISODE, NaN before a slot's first end; ended: (B,) ends since the last `shown`.
@@ -82,18 +82,18 @@ class LatestEpisodes:
         self.ended = torch.zeros(slots, dtype=torch.float64, device=device)
 
     def __call__(self, transition: Transition) -> None:
-        """Takes in one interaction of the batch."""
+        """Adds one interaction of the batch."""
         success = 100.0 * (transition.outcome == OUTCOMES.index("success"))
         now = torch.cat((transition.metrics, success[None]))
         self.metrics = torch.where(transition.done, now, self.metrics)
         self.ended += transition.done
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Returns what a resumed run needs."""
+        """Returns the state that a resumed run needs."""
         return {"episodes": self.metrics}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Restores `state_dict`; a run that an older revision began has none, and waits for all slots anew."""
+        """Restores `state_dict`; a run of an older revision has no metrics, and waits for all slots again."""
         self.metrics = state.get("episodes", self.metrics)
 
     def shown(self, seeds: int, first_seed: int) -> Tensor:
@@ -106,14 +106,14 @@ class LatestEpisodes:
 
 
 class Monitor:
-    """Accumulates transitions; `scalars` empties it. Tags are TensorBoard's.
+    """Accumulates transitions until `scalars` returns their means and clears them. Tags are TensorBoard's.
 
     Args:
-        constraints: their names; seeds: that share the batch in equal parts, one after another.
-        first_seed: the number of the first of them, counted from 0.
+        constraints: names; seeds: number of seeds, which share the batch in equal parts, one after another.
+        first_seed: the number of the first seed, counted from 0.
 
     Attributes:
-        filter_seconds: spent in the filter of `timed`.
+        filter_seconds: s that the filter of `timed` took.
     """
 
     def __init__(self, constraints: tuple[str, ...], seeds: int = 1, first_seed: int = 0) -> None:
@@ -124,11 +124,11 @@ class Monitor:
         """Forgets all transitions."""
         self.filter_seconds = 0.0
         self.steps = 0  # interactions
-        self.sums: dict[str, Tensor] = {}  # numbers, or a place per constraint
-        self.episodes: list[Tensor] = []  # of `LatestEpisodes.shown`
+        self.sums: dict[str, Tensor] = {}  # scalars, or a value per constraint
+        self.episodes: list[Tensor] = []  # results of `LatestEpisodes.shown`
 
     def timed(self, safety: Safety) -> Safety:
-        """The same with a filter, if there is one, whose time is added to `filter_seconds`."""
+        """Returns the same with a filter, if there is one, that adds its time to `filter_seconds`."""
 
         if safety.correct is None:
             return safety
@@ -143,7 +143,7 @@ class Monitor:
         return replace(safety, correct=correct)
 
     def __call__(self, transition: Transition) -> None:
-        """Takes in one interaction of the batch."""
+        """Adds one interaction of the batch."""
         self.steps += transition.reward.numel()
         self.count(violated=transition.violated.sum(1), any_violated=transition.violated.any(0).sum())
         self.count(**{f"step_reward/{name}": term.sum() for name, term in transition.reward_terms.items()})
@@ -162,16 +162,16 @@ class Monitor:
             self.sums[name] = part + self.sums[name] if name in self.sums else part
 
     def add(self, other: "Monitor") -> None:
-        """Takes in the transitions of another monitor."""
+        """Adds the transitions of another monitor."""
         self.steps += other.steps
         self.count(**other.sums)
         self.episodes += other.episodes
 
     def episode_means(self, seed: int | None = None) -> dict[str, float]:
-        """Means over the last episode of each slot, once each has ended one, and how many ended since then.
+        """Returns means over each slot's last episode, and how many ended since then; empty until each slot has one.
 
         Args:
-            seed: of one seed's slots, counted from 0; None: of all.
+            seed: the seed, counted from 0, whose slots count; None: all slots.
         """
         if not self.episodes:
             return {}
@@ -185,13 +185,13 @@ class Monitor:
         return means | {"episode/count": ended.sum().item()}
 
     def scalars(self) -> dict[str, float]:
-        """Means since the last call: per episode ended, per interaction and per filter call."""
+        """Returns and clears means since the last call: per ended episode, per interaction and per filter call."""
         sums, steps, calls = self.sums, self.steps, int(self.sums.get("calls", 0))
         out = self.episode_means()
         out |= {tag: total.item() / steps for tag, total in sums.items() if tag.startswith("step_reward/")}
         out["violation_percent/any"] = 100.0 * sums["any_violated"].item() / steps
         violated = zip(self.constraints, (100.0 * sums["violated"] / steps).tolist(), strict=True)
-        # behind the filter nearly all are zero
+        # with the filter nearly all are zero
         out |= {f"violation_percent/{name}": percent for name, percent in violated if percent or not calls}
         if calls:
             percent = 100.0 / calls

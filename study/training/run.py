@@ -1,4 +1,4 @@
-"""One training run on disk: begun, checkpointed, interrupted, continued and concluded."""
+"""One training run on disk: its start, checkpoints, interruption, continuation and end."""
 
 import os
 import shlex
@@ -39,7 +39,7 @@ from study.training.log import Log
 from study.training.monitor import Exposure, LatestEpisodes, Monitor
 
 CHECKPOINT = "checkpoint.pt"
-LESSONS = "lessons"  # the directory of what is taught, a file to a batch, as long as the lessons last
+LESSONS = "lessons"  # directory of the imitation phase's data, a file per batch; removed after the phase
 
 
 @contextmanager
@@ -56,25 +56,25 @@ def on_signal(react: Callable[[int], None]) -> Iterator[None]:
 
 def say_in_a_handler(text: str) -> None:
     """Writes a line to stderr, past Python's buffers, which a signal may have interrupted."""
-    with suppress(OSError, ValueError, AttributeError):  # no such file
+    with suppress(OSError, ValueError, AttributeError):  # stderr is not a file
         os.write(sys.stderr.fileno(), f"\n{text}\n".encode())
 
 
 class Run:
-    """The training of one seed, or of several side by side as one batch, and its directory.
+    """Trains one seed, or several side by side as one batch, and keeps them in a directory.
 
-    Of many ranks, each has a part of the episodes of one seed, or some of several seeds; the first one writes.
+    With many ranks, each rank has a part of one seed's episodes, or some of several seeds; the first rank writes.
 
     Args:
-        config: settled, see `study.experiment.settled`; directory: where everything is written.
-        seeds: trained side by side, each with a directory of its own in `directory`; None: the configuration's
-            only, in `directory` itself.
+        config: settled, see `study.experiment.settled`; directory: receives all files.
+        seeds: trained side by side, each with its own directory in `directory`; None: the configuration's seed alone,
+            in `directory` itself.
 
     Attributes:
         seed_dirs: each seed's own directory.
-        shard: what of it is this rank's; experiment, env and learner are those of this part.
-        update, trained_s: updates done, and wall-clock s that they took, over all sessions.
-        annealing: what a person is told of the learning rate, if its end has moved.
+        shard: this rank's part of the training, which experiment, env and learner belong to.
+        update, trained_s: number of updates done, and their wall-clock s, over all sessions.
+        annealing: a message about the learning rate, if the end of its annealing has moved.
     """
 
     annealing = ""
@@ -121,7 +121,7 @@ class Run:
             self.shard.seeds.start,
             cost_value,
         )
-        if self.experiment.compiled and self.device.type == "cuda":  # on a CPU it would be no faster
+        if self.experiment.compiled and self.device.type == "cuda":  # not faster on a CPU
             compile_or_explain("learner", lambda: self.learner.compile(train.batch))
         self.rewarded = Adversary(self.env, train.adversary) if train.adversary else self.env
         self.update, self.trained_s = 0, 0.0
@@ -132,7 +132,7 @@ class Run:
         self.last_save: dict[str, float] = {}  # statistics that the next update shows
 
     def __str__(self) -> str:
-        """The first lines a person sees."""
+        """Returns the first lines that a person sees."""
         config, experiment = self.config, self.experiment
         kind = "the paper's RTA" if config.rta.filter == "paper" else "RTA"
         arm = f"{kind} at {config.rta.period:g} s by {config.rta.qp_solver}" if config.train.rta else "no RTA"
@@ -145,7 +145,7 @@ class Run:
 
     @property
     def plan(self) -> str:
-        """What is to come: how many interactions, since they are made in whole updates, and the flights after them."""
+        """Returns the plan: the number of interactions in whole updates, and of the test flights after them."""
         train = self.config.train
         total, size = train.updates * train.batch, f"{train.num_envs:,} * {train.rollout_steps:,}"
         why = f" ({train.interactions:,} rounded up)" if total > train.interactions else ""
@@ -162,7 +162,7 @@ class Run:
         self.latest(transition)
 
     def be_taught(self, lessons: JumpStart, stopped: Callable[[], bool]) -> None:
-        """Lets the guidance teach the policy, in place of the first updates; each lesson is saved."""
+        """Runs the imitation phase in place of the first updates, and saves each batch."""
         while not lessons.done and not stopped():
             statistics = lessons.teach(self.watch)
             self.update += 1
@@ -172,15 +172,15 @@ class Run:
 
     @property
     def interactions(self) -> int:
-        """Interactions of each seed so far."""
+        """Returns the number of interactions of each seed so far."""
         return self.update * self.config.train.batch
 
     def seconds(self) -> float:
-        """Wall-clock s of training so far, of the rank that took longest; all ranks ask together."""
+        """Returns wall-clock s of training so far, of the slowest rank; all ranks must call it together."""
         return self.ranks.most(self.trained_s)
 
     def state_dict(self) -> dict[str, Any]:
-        """Returns everything that this rank needs to continue exactly, except for lessons."""
+        """Returns everything that this rank needs to continue exactly, except the imitation phase."""
         return self.learner.state_dict() | {
             "env": self.env.state_dict(),
             "generators": [generator.get_state() for generator in self.generators],
@@ -190,7 +190,7 @@ class Run:
         }
 
     def save(self) -> None:
-        """Writes the checkpoint of all ranks and each seed's policy alone."""
+        """Writes the checkpoint of all ranks, and each seed's policy in a file of its own."""
         own = self.state_dict()
         if self.lessons and self.lessons.taught > 0 and not self.lessons.done:
             own |= {"lessons": self.lessons.state_dict(), "lesson": self.lessons.latest}
@@ -207,18 +207,18 @@ class Run:
         for k, (seed, home) in enumerate(zip(self.seeds, self.seed_dirs, strict=True)):
             policy = {name: stacked[k : k + 1].clone() for name, stacked in state["policy"].items()}
             checkpoint.save(home / "policy.pt", {"policy": policy, "config": to_toml(self.config_of(seed))})
-        if "lessons" not in state:  # they are over, and the checkpoint knows that
+        if "lessons" not in state:  # the phase is over, and the checkpoint says so
             shutil.rmtree(self.directory / LESSONS, ignore_errors=True)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restores what `save` has written of training; raises as a checkpoint that does not fit."""
+        """Restores the training from a checkpoint of `save`; raises various errors if the checkpoint does not fit."""
         own = self.shard.split(saved)
         self.learner.load_state_dict(own)
         self.env.load_state_dict(own["env"])
         for generator, state in zip(self.generators, own["generators"], strict=True):
             generator.set_state(state.cpu())
         self.update, self.trained_s = int(own["update"]), float(own["seconds"])
-        if "training" in own:  # which older checkpoints lack
+        if "training" in own:  # older checkpoints lack it
             self.exposure.load_state_dict(own["training"])
             self.latest.load_state_dict(own["training"])
         if self.lessons and (state := saved.get("lessons")):
@@ -231,17 +231,17 @@ class Run:
             )
 
     def config_of(self, seed: int) -> Config:
-        """The configuration with which `train` trains this seed alone."""
+        """Returns the configuration with which `train` trains this seed alone."""
         return replace(self.config, train=replace(self.config.train, seed=seed))
 
     def written(self) -> Iterator[Path]:
-        """The files that are replaced again and again."""
+        """Yields the files that training replaces repeatedly."""
         yield from (self.directory / CHECKPOINT, *(home / "policy.pt" for home in self.seed_dirs))
         yield from (self.directory / "config.toml", self.log.evaluations)
 
     @contextmanager
     def naming_the_checkpoint(self) -> Iterator[None]:
-        """Lets an OSError that names its file name the last good checkpoint, too."""
+        """Adds the last good checkpoint to the message of an OSError that names its file."""
         try:
             yield
         except OSError as error:
@@ -255,10 +255,10 @@ class Run:
         """Trains to the end.
 
         Raises:
-            Stopped: a signal came first; NonFiniteError: numbers went bad; RankLostError: another rank ended;
-            OSError: something could not be written. All but the first name the last good checkpoint.
+            Stopped: a signal came first; NonFiniteError: numbers are not finite; RankLostError: another rank ended;
+            OSError: a file could not be written. All except Stopped name the last good checkpoint.
         """
-        stop: list[int] = []  # a signal comes during an update, which can end first
+        stop: list[int] = []  # numbers of signals; the update during which one comes is finished first
 
         def react(number: int) -> None:
             if not stop and self.ranks.first:
@@ -309,20 +309,20 @@ class Run:
             )
 
     def statistics(self, losses: dict[str, Tensor]) -> dict[str, float]:
-        """Returns what an update of the learner says, means over seeds, by TensorBoard's tags."""
+        """Returns the statistics of an update, means over seeds, by TensorBoard's tags."""
         found = {f"losses/{name}": value.mean().item() for name, value in losses.items()}
         found["policy/std"] = standard_deviation(found["losses/entropy"], CONTROL_SIZE)
         found["learner/learning_rate"] = self.learner.optimiser.param_groups[0]["lr"]
         return found
 
     def begin(self, stopped: Callable[[], bool]) -> None:
-        """What comes before the first update: the lessons of the guidance, and evaluations before and after them."""
+        """Runs what comes before the first PPO update: the imitation phase, and evaluations before and after it."""
         early = self.config.train.early_evaluations > 1
         if early and not self.interactions and not self.ranks.agree(self.log.begun()):
             self.evaluate()
         if self.lessons and self.update < self.lessons.batches:
             self.be_taught(self.lessons, stopped)
-            for batch in (self.lessons.flown, self.lessons.latest):  # which are large
+            for batch in (self.lessons.flown, self.lessons.latest):  # both are large
                 batch.clear()
             if early and self.lessons.done:
                 self.evaluate()
@@ -336,11 +336,11 @@ class Run:
             statistics["time/evaluation_s"] = seconds_of(self.evaluate)
         self.show(statistics)
         self.last_save = {}
-        if self.due(train.checkpoint_interval):  # last, so that a checkpoint knows what has been drawn
+        if self.due(train.checkpoint_interval):  # last, so that a checkpoint includes the charts' points
             self.last_save = {"time/checkpoint_s": seconds_of(self.save)}
 
     def show(self, statistics: dict[str, float]) -> None:
-        """Logs an update or a lesson, of all ranks; the price of fuel grows for the next one."""
+        """Logs an update or an imitation batch of all ranks; sets the progress, with which the fuel penalty grows."""
         self.env.progress = self.update / self.config.train.updates
         self.monitor.episodes.append(self.latest.shown(self.monitor.seeds, self.monitor.first_seed))
         statistics["time/filter_s"] = self.monitor.filter_seconds
@@ -350,32 +350,33 @@ class Run:
         self.monitor.clear()
 
     def due(self, interval: int) -> bool:
-        """Whether the last update completed so many interactions, once more."""
+        """Tells whether the last update passed a multiple of `interval` interactions."""
         return self.interactions % interval < self.config.train.batch
 
     def evaluate(self) -> None:
-        """Periodic evaluation."""
+        """Evaluates all seeds on the cases of the periodic evaluation, and logs the results."""
         record = self.play(self.config.train.evaluation_episodes, EVALUATION_CASES)
         seconds = self.seconds()
         if record:
             self.log.evaluation(record, self.reports(record, EVALUATION_CASES), self.interactions, seconds)
 
     def play(self, episodes: int, seed: int) -> Episodes | None:
-        """Deterministic episodes of every seed, in the configuration of training, from test cases drawn by `seed`.
+        """Plays episodes of every seed, deterministically, in the configuration of training, from test cases of `seed`.
 
-        Of many ranks, each plays its own seeds, the first one a seed that they share; it alone gets the episodes.
+        With many ranks, each plays its own seeds, or the first rank plays the one that they share. The first rank gets
+        all episodes, the others None.
         """
         record = play(self.policy, self.experiment, episodes, seed) if self.shard.learners.first else None
         records = [part for part in self.ranks.collect(record, self.device) if part]
         return Episodes.join(records) if records else None
 
     def reports(self, record: Episodes, seed: int) -> list[dict[str, Any]]:
-        """Each seed's episodes in the form of `evaluate --json`."""
+        """Returns each seed's episodes in the form of `evaluate --json`."""
         parts = zip(self.seeds, record.split(len(self.seeds)), strict=True)
         return [report(own, self.config_of(trained), seed) for trained, own in parts]
 
     def violations_in_training(self) -> list[dict[str, Any]]:
-        """Returns `Exposure.report` of all ranks, which all have to ask; an empty list except on the first one."""
+        """Returns `Exposure.report` of all ranks on the first one, else an empty list; all ranks must call it."""
         own = {"training": self.exposure.state_dict(), "seconds": self.trained_s}
         states = self.ranks.collect(own, self.device)
         if not states:
@@ -385,7 +386,7 @@ class Run:
         return everyone.report(len(self.seeds))
 
     def conclude(self) -> str:
-        """Evaluates the trained policy, writes evaluation.json and episode.png; returns what a person sees last.
+        """Evaluates the trained policy, writes evaluation.json and episode.png; returns the last message for a person.
 
         Raises:
             Stopped: a signal came before all was evaluated.
@@ -408,7 +409,7 @@ class Run:
 
 
 def what_next(directory: Path) -> str:
-    """Returns commands that measure a trained agent, watch it fly and show how it learned."""
+    """Returns commands that evaluate a trained agent, replay its flight and show its training curves."""
     agent, flight, page, logs = (
         shlex.quote(str(path))
         for path in (directory / "policy.pt", directory / "flight.npz", directory / "flight.html", directory)
@@ -425,12 +426,12 @@ def what_next(directory: Path) -> str:
 
 
 def times(started: float, collected: float, learned: float) -> dict[str, float]:
-    """Returns how long an update took, by TensorBoard's tags."""
+    """Returns the s that an update took, by TensorBoard's tags."""
     return {"time/rollout_s": collected - started, "time/learning_s": learned - collected}
 
 
 def seconds_of(deed: Callable[[], None]) -> float:
-    """The wall-clock s that it takes."""
+    """Calls a function and returns the wall-clock s that it takes."""
     started = time.perf_counter()
     deed()
     return time.perf_counter() - started

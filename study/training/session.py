@@ -1,4 +1,4 @@
-"""How the training of a run begins and goes on: its directory, its lock, its first networks or its checkpoint."""
+"""Start and continuation of a training run: its directory, its lock, its first networks or its checkpoint."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -25,15 +25,15 @@ from study.files import write_text
 from study.machine import LOCKS, directory_lock, resolve_device, write_settings
 from study.training.run import CHECKPOINT, Run
 
-# What a run writes first, in this order; before the last one, there is no run yet.
+# files that a run writes first, in this order; the run exists once the last one does
 BEGUN = ("provenance.json", "config.toml", CHECKPOINT)
 RESUMABLE = ("policy", "value", "optimiser", "env", "generators", "update", "seconds", "config")
-# keys of [ppo] without which the weights are another policy's
+# keys of [ppo] that must agree for weights to fit
 FITTING = ("hidden", "log_std_bounds", "tanh_outputs", "action_power")
 
 
 def check_minibatch(config: Config) -> None:
-    """Refuses a minibatch that an update has not enough interactions for."""
+    """Raises InputError if a minibatch is larger than the interactions of an update."""
     train, size = config.train, config.ppo.minibatch_size
     if size > train.batch:
         raise InputError(
@@ -43,7 +43,7 @@ def check_minibatch(config: Config) -> None:
 
 
 def check_learn_from(config: Config) -> None:
-    """Refuses to learn from what there is not."""
+    """Raises InputError if a run cannot learn from applied actions."""
     train = config.train
     if train.learn_from == "desired":
         return
@@ -55,7 +55,7 @@ def check_learn_from(config: Config) -> None:
 
 
 def check_cost_limit(config: Config) -> None:
-    """Refuses a price on violations for an agent that is paid for them."""
+    """Raises InputError if an agent that is rewarded for violations has a limit on their cost."""
     if config.train.adversary and config.ppo.cost_limit < 1.0:
         raise InputError(
             f"[ppo] cost_limit = {config.ppo.cost_limit:g}: must be 1 for an adversary ([train] adversary)"
@@ -63,7 +63,7 @@ def check_cost_limit(config: Config) -> None:
 
 
 def check(config: Config) -> None:
-    """Refuses what cannot be trained, before anything is made."""
+    """Raises InputError for a configuration that cannot be trained, before anything is made."""
     check_clocks(config)
     check_minibatch(config)
     check_plant(config)
@@ -74,7 +74,7 @@ def check(config: Config) -> None:
 
 @contextmanager
 def starting(config: Config, directory: Path, init_from: Path | None = None) -> Iterator[Run]:
-    """Starts a fresh run, see `start`, with its directory to itself."""
+    """Starts a fresh run, see `start`, and locks its directory."""
     run = built(config, directory, init_from)
     with as_input_error(f"--run-dir {directory}: cannot write there", OSError, ValueError):
         ranks().first_does(lambda: directory.mkdir(parents=True, exist_ok=True))
@@ -85,13 +85,13 @@ def starting(config: Config, directory: Path, init_from: Path | None = None) -> 
 
 @contextmanager
 def resuming(directory: Path, config: Config) -> Iterator[Run]:
-    """A run that goes on, see `resume`, with its directory to itself; its `settings` are where `config` comes from."""
+    """Continues a run, see `resume`, and locks its directory; `config` comes from the directory's `settings`."""
     with directory_lock(directory, "--resume"):
         yield resume(directory, config)
 
 
 def settings(directory: Path) -> Config:
-    """The configuration of the run in a directory; refuses a directory that holds none."""
+    """Returns the configuration of the run in a directory; raises InputError if there is no run."""
     path = directory / "config.toml"
     if not path.is_file():
         raise InputError(f"--resume {directory}: no run there (it lacks config.toml)")
@@ -99,10 +99,10 @@ def settings(directory: Path) -> Config:
 
 
 def start(config: Config, directory: Path, init_from: Path | None = None) -> Run:
-    """Starts a fresh run in a directory that holds none; its solver is part of its configuration from here on.
+    """Starts a fresh run in a directory without one; from now on its solver is part of its configuration.
 
     Args:
-        init_from: the file of an agent to start from, policy.pt or checkpoint.pt; None: from chance.
+        init_from: the file of an agent to start from, policy.pt or checkpoint.pt; None: random weights.
     """
     run = built(config, directory, init_from)
     begin(run, init_from)
@@ -110,17 +110,17 @@ def start(config: Config, directory: Path, init_from: Path | None = None) -> Run
 
 
 def built(config: Config, directory: Path, init_from: Path | None) -> Run:
-    """Makes a fresh run and writes nothing: what can be refused is refused here."""
+    """Makes a fresh run, raises InputError if it cannot be trained, and writes nothing."""
     check(config)
     check_empty(directory)
     config = settled(config)
-    if init_from:  # who has learned something needs no jump start
+    if init_from:  # an agent that was trained before needs no imitation phase
         config = replace(config, train=replace(config.train, jump_start=0))
     return create(config, directory, networks=networks_of(init_from, config) if init_from else {})
 
 
 def begin(run: Run, init_from: Path | None) -> None:
-    """Writes what describes a fresh run, then its first checkpoint."""
+    """Writes the description of a fresh run, then its first checkpoint."""
 
     def describe() -> None:
         check_empty(run.directory)
@@ -141,13 +141,13 @@ def save_first(run: Run) -> None:
 
 
 def check_empty(directory: Path) -> None:
-    """Refuses the directory of a new run that holds one, or anything but what a kill at the start left."""
+    """Raises InputError if a directory holds a run or other files than those that a kill at the start left."""
     with as_input_error(f"--run-dir {directory}: cannot write there", OSError, ValueError):
         found = {path.name for path in directory.iterdir()} - set(LOCKS) if directory.exists() else set()
     if found & {CHECKPOINT, "policy.pt"}:
         raise InputError(f"--run-dir {directory}: holds a run already; continue it with --resume")
     left = {*BEGUN, *(f"{name}.tmp" for name in BEGUN)}
-    if "provenance.json" not in found:  # which is written first
+    if "provenance.json" not in found:  # provenance.json is written first
         left.discard("config.toml")
     if other := sorted(found - left):
         raise InputError(f"--run-dir {directory}: holds no run but {other[0]}; name a new directory")
@@ -159,7 +159,7 @@ def create(
     seeds: Sequence[int] | None = None,
     networks: Mapping[str, dict[str, Any]] | None = None,
 ) -> Run:
-    """Makes a fresh `Run`, its episodes started; `networks` are weights to start from. Nothing is written."""
+    """Makes a fresh `Run` with started episodes; `networks` are weights to start from. Writes nothing."""
     run = Run(config, directory, seeds)
     for name, weights in (networks or {}).items():
         with as_input_error(f"--init-from: its {name} network does not fit this run", *MALFORMED):
@@ -170,10 +170,10 @@ def create(
 
 
 def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] | None = None) -> Run:
-    """A `Run` as the directory's checkpoint left it; without a configuration that of its config.toml.
+    """Returns a `Run` as the directory's checkpoint left it; `config` defaults to its config.toml.
 
-    The configuration of a run of one seed may want other interactions and final episodes than the checkpoint's: they
-    are then what config.toml wants, too.
+    A run of one seed may have other `interactions` and `final_episodes` than its checkpoint; config.toml then gets the
+    new ones.
     """
     config = config or load(directory / "config.toml", Config())
     path = directory / CHECKPOINT
@@ -181,7 +181,7 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
     with as_input_error(str(path), KeyError, TypeError, ValueError, AttributeError):
         trained = from_toml(saved["config"], str(path), Config())
         done, rate = int(saved["update"]), trained.ppo.learning_rate
-    config, trained = (settled(each) for each in (config, trained))  # which older ones may not be
+    config, trained = (settled(each) for each in (config, trained))  # an older run may not be settled
     before, total = trained.train, config.train.interactions
     moved = seeds is None and total != before.interactions
     free: dict[str, Any] = (
@@ -204,23 +204,23 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
         run.load_state_dict(saved)
     if run.ranks.first:
         with run.naming_the_checkpoint():
-            for file in run.written():  # what a kill left, which may be what fills the disk
+            for file in run.written():  # files that a kill left, which may fill the disk
                 with naming(file):
                     temporary_beside(file).unlink(missing_ok=True)
             run.log.forget_evaluations_after(run.interactions)
-            if config != trained:  # from here on, config.toml alone says so
+            if config != trained:  # from now on, config.toml has the new values
                 write_text(directory / "config.toml", to_toml(config))
     return run
 
 
 def networks_of(path: Path, config: Config) -> dict[str, dict[str, Any]]:
-    """The weights of the policy and, where the file has them and it is shown the same, of the value network.
+    """Returns the weights of the policy and, if the file has them and they fit, of the value network.
 
     Args:
-        path: policy.pt or checkpoint.pt of a run; config: of the run that is to start.
+        path: policy.pt or checkpoint.pt of a run; config: of the new run.
 
     Raises:
-        CheckpointError, InputError: the file is none of these, or its networks are not those of the configuration.
+        CheckpointError, InputError: the file is not such a file, or its networks do not fit the configuration.
     """
     _, trained = load_policy(path)
     check_observed(config, trained)

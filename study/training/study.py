@@ -1,4 +1,4 @@
-"""The study: all seeds of each arm trained as one batch, evaluated, and continued wherever it was interrupted."""
+"""The study: trains all seeds of each arm as one batch, evaluates them, and continues where it was interrupted."""
 
 import shlex
 from dataclasses import asdict
@@ -22,13 +22,14 @@ from study.training.run import Run, on_signal
 from study.training.session import check, create, resume, save_first
 from study.verified import fingerprint, warn_if_unverified
 
-LEFT_BY_A_KILL = (*LOCKS, "provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
+# files that a kill at the start may leave
+LEFT_BY_A_KILL = (*LOCKS, "provenance.json", "provenance.json.tmp", "config.toml.tmp")
 
 
 def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
-    """Trains and evaluates what is left of a study; returns the paper's tables.
+    """Trains and evaluates the unfinished arms of a study; returns the paper's tables.
 
-    Of many ranks, each trains some of the seeds, as it would without the others; the first one writes and returns.
+    With many ranks, each trains some of the seeds, with the same results as alone; the first rank writes and returns.
 
     Raises:
         InputError: the directory holds a study with other settings; Stopped: a signal came first.
@@ -44,8 +45,8 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     def stop(number: int) -> None:
         raise Stopped(f"stopped; {again}", number)
 
-    check_directory(directory)  # before anything is left in it
-    # signals: outside an update, where nothing half done is kept
+    check_directory(directory)  # before anything is written there
+    # `stop` handles signals outside updates, where no unfinished work is kept
     with directory_lock(directory, "--study-dir"), on_signal(stop):
         ranks().first_does(lambda: begin_or_continue(config, directory))
         flown = [config.of_arm(name) for name in config.study.arms]
@@ -70,7 +71,7 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
 
 
 def overview(results: dict[str, Results]) -> str:
-    """The arms side by side, a line each: means over all episodes where nothing else is said."""
+    """Returns a table with a line for each arm: means over all episodes, except where the heading says otherwise."""
     headings = (
         "success %",
         "violation %",
@@ -99,9 +100,9 @@ def overview(results: dict[str, Results]) -> str:
 
 
 def begin_or_continue(config: StudyConfig, directory: Path) -> None:
-    """Begins a study in its directory; refuses one that holds other things or a study with other settings."""
+    """Begins a study in its directory; raises InputError if it holds other files or a study with other settings."""
     before = read_settings(directory)
-    before = before and settled(before)  # which an older one may not be
+    before = before and settled(before)  # an older study may not be settled
     if before is None:
         with as_input_error(f"--study-dir {directory}: cannot write there", OSError, ValueError):
             check_directory(directory)
@@ -111,14 +112,14 @@ def begin_or_continue(config: StudyConfig, directory: Path) -> None:
 
 
 def check_directory(directory: Path) -> None:
-    """Refuses a directory that holds other things than a study, or what a kill at the start left of one."""
+    """Raises InputError if a directory holds other files than those of a study or of a kill at its start."""
     names = {path.name for path in directory.iterdir()}
     if "config.toml" not in names and (other := sorted(names - set(LEFT_BY_A_KILL))):
         raise InputError(f"--study-dir {directory}: holds no study but {other[0]}; name a new directory")
 
 
 def read_settings(directory: Path) -> StudyConfig | None:
-    """The configuration of the study in a directory; None where none was begun."""
+    """Returns the configuration of the study in a directory; None if the directory has no study."""
     with as_input_error(f"--study-dir {directory}: cannot read it", OSError, ValueError):
         if (directory / "checkpoint.pt").exists() or (directory / "policy.pt").exists():
             raise InputError(f"--study-dir {directory}: holds a run of train, not a study")
@@ -127,7 +128,7 @@ def read_settings(directory: Path) -> StudyConfig | None:
 
 
 def first_difference(one: StudyConfig, other: StudyConfig) -> str:
-    """The first setting in which two configurations differ, with both values."""
+    """Returns the first setting in which two configurations differ, with both values."""
     tables, others = asdict(one), asdict(other)
     return next(
         f"[{table}] {key} = {entries.get(key)!r}, not {others[table].get(key)!r}"
@@ -138,7 +139,7 @@ def first_difference(one: StudyConfig, other: StudyConfig) -> str:
 
 
 def train_arm(config: StudyConfig, name: str, directory: Path, again: str) -> Run:
-    """All seeds of an arm, trained to the end from where they were left; `again` says how to continue."""
+    """Trains all seeds of an arm to the end, from their checkpoint if there is one; `again` says how to continue."""
     of_arm = settled(config.of_arm(name))
     begun = (directory / "checkpoint.pt").exists()
     run = resume(directory, of_arm, config.seeds) if begun else create(of_arm, directory, config.seeds)
@@ -157,8 +158,8 @@ def train_arm(config: StudyConfig, name: str, directory: Path, again: str) -> Ru
 def evaluate_arm(run: Run) -> None:
     """Plays the common test cases with every seed of a trained arm; writes episodes.npz, then results.json.
 
-    `interactions` are those of each seed, `wall_clock_s` the rollouts and updates of all of them together, by the
-    rank that took longest; `training_per_seed` has the limits broken in training.
+    `interactions` counts those of each seed. `wall_clock_s` is the time of rollouts and updates of all seeds together,
+    on the slowest rank. `training_per_seed` has the limits violated in training.
     """
     record, seconds = run.play(run.config.train.final_episodes, TEST_CASES), run.seconds()
     training = run.violations_in_training()
@@ -178,7 +179,7 @@ def evaluate_arm(run: Run) -> None:
 
 
 def write_episodes(record: Episodes, seeds: tuple[int, ...], path: Path) -> None:
-    """Every field of the episodes with the last axis split in two, seeds and cases; and what the rows are."""
+    """Writes every field of the episodes with the last axis split into seeds and cases, and the names of the rows."""
     fields = vars(record) | record.named_extremes()
     arrays = {
         name: values.unflatten(-1, (len(seeds), -1)).cpu().numpy()

@@ -1,4 +1,4 @@
-"""What a campaign puts behind the filter, and who chooses the worlds' corners: chance, descent, a trained agent."""
+"""Controllers that a campaign corrects by the filter, and adversaries that choose the corners of a plant's errors."""
 
 from collections.abc import Callable
 
@@ -17,20 +17,20 @@ from rta.filter import SafetyFilter
 from rta.names import ATTITUDE, OWN, TRANSLATIONAL
 from study.scales import scales
 
-NEXT_TO_NOTHING = 1e-9  # m, m/s, rad, rad/s; PyTorch has no derivative by a rotation vector at zero
-# Rows of the constraints by who holds them, and the controls of theirs.
+NEXT_TO_NOTHING = 1e-9  # m, m/s, rad, rad/s; not zero, where PyTorch has no derivative by a rotation vector
+# rows of the constraints that thrust and that torque satisfies, each with its controls
 GROUPS = (
     (slice(0, len(TRANSLATIONAL)), THRUST),
     (slice(len(TRANSLATIONAL), len(TRANSLATIONAL) + len(ATTITUDE)), TORQUE),
 )
-NO_INFLUENCE = 1e-9  # length, in h's unit per s and actuator limit, of a row that a group does not change
-LONGEST_ACTION = 60  # s that the random policy holds an action
+NO_INFLUENCE = 1e-9  # in h's unit per s and actuator limit; a group does not change shorter rows
+LONGEST_ACTION = 60  # s, longest hold of an action of the random policy
 
 
 def held_at_random(c: Model, generator: torch.Generator, batch: int, first: int = 0) -> Controller:
-    """Uniformly random controls, each held for a uniformly random time of whole seconds.
+    """Returns a controller of uniformly random controls, each held for a uniformly random time of whole seconds.
 
-    Numbers are drawn for a whole batch, of which the states are the columns from `first` on.
+    Numbers are drawn for a whole batch; the states are its columns from `first` on.
     """
     held: dict[str, Tensor] = {}
 
@@ -52,7 +52,7 @@ def held_at_random(c: Model, generator: torch.Generator, batch: int, first: int 
 def learned(
     policy: Policy, env: InspectionEnv, generator: torch.Generator, batch: int, first: int = 0
 ) -> Controller:
-    """Controls drawn from a policy of one seed, for `env`, flown by `inspect`; numbers as in `held_at_random`."""
+    """Returns a controller that draws from a policy of one seed, for `env`; numbers as in `held_at_random`."""
 
     @torch.no_grad()
     def control(t: float, x: Tensor) -> Tensor:
@@ -65,13 +65,13 @@ def learned(
 
 
 def adversarial(safety_filter: SafetyFilter, compiler: Compiler | None = None) -> Controller:
-    """Full control along the steepest descent of the worst thrust row and of the worst torque row.
+    """Returns a controller of full control along the steepest descent of the worst thrust row and worst torque row.
 
-    The worst row is the one that zero control comes closest to breaking, in units of the actuators' limits.
+    The worst row is the one that zero control is closest to violating, in units of the actuators' limits.
     """
 
     def worst_rows(x: Tensor) -> list[Tensor]:
-        """Of each group, the row (3, B) per actuator limit that zero control comes closest to breaking."""
+        """Returns for each group the row (3, B) per actuator limit that zero control is closest to violating."""
         a, b, *_ = safety_filter.program.evaluated(x)
         a = a * x.new_tensor(safety_filter.c.control_limit)[:, None]
         worst = []
@@ -93,18 +93,18 @@ def adversarial(safety_filter: SafetyFilter, compiler: Compiler | None = None) -
 
 
 class Greedy:
-    """Lowers the smallest h after the next call, by the model: an `Adversary` of the world, and a `Controller`.
+    """Lowers the smallest h after the next call, by the model: an `Adversary` of the plant, and a `Controller`.
 
-    J(x, e, u) is the smallest h of thrust's attacked constraints and that of torque's, in filter calls
-    (`study.scales`), added up, of states that are off by e after a control is held for a period. Then, to first order,
+    J(x, e, u) is the sum of the smallest h of thrust's attacked constraints and the smallest h of torque's, in filter
+    calls (`study.scales`), of states with error e after a hold of control u for a period. Then, to first order,
 
-    - the sensors err along dJ/de: what is measured looks safest;
-    - a gain is at its upper end where what is commanded along that axis lowers J, and at its lower end where it helps;
-    - a call is missed where the last control leads to a smaller J than the new one;
-    - as a controller it is full control along -dJ/du, of thrust and of torque apart.
+    - the sensors err along dJ/de, so that the measured state looks safest;
+    - a gain is at its upper end if the command along its axis lowers J, else at its lower end;
+    - a call is missed if the last control leads to a smaller J than the new one;
+    - the controller commands full control along -dJ/du, for thrust and for torque separately.
 
     Args:
-        attacked: (constraints, B) bool, the constraints that count in each episode; None: all.
+        attacked: (constraints, B) bool, the constraints that enter J in each episode; None: all.
     """
 
     def __init__(self, safety_filter: SafetyFilter, attacked: Tensor | None = None) -> None:
@@ -113,7 +113,7 @@ class Greedy:
         self.last: Tensor | None = None
 
     def ahead(self, x: Tensor, error: Tensor, u: Tensor) -> Tensor:
-        """(B,) J of states (16, B), errors (12, B) and controls (6, B)."""
+        """Returns J (B,) of states (16, B), errors (12, B) and controls (6, B)."""
         after = step(displaced(x, error), u, self.filter.period, self.filter.c)
         h = self.filter.values(after) / x.new_tensor(self.scale)[:, None]
         if self.attacked is not None:
@@ -121,19 +121,19 @@ class Greedy:
         return h[GROUPS[0][0]].amin(0) + h[GROUPS[1][0]].amin(0)
 
     def slopes(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        """dJ/de (12, B), where the error is next to nothing, and dJ/du (6, B); zero where there is none."""
+        """Returns dJ/de (12, B) at an error of almost zero, and dJ/du (6, B); zero where a derivative is NaN."""
         error = x.new_full((ERRORS.stop, x.shape[1]), NEXT_TO_NOTHING)
         back = torch.func.vjp(lambda e, control: self.ahead(x, e, control), error, u)[1]
         of_error, of_control = back(torch.ones_like(x[0]))
         return of_error.nan_to_num(), of_control.nan_to_num()
 
     def errors(self, time: Tensor, x: Tensor) -> Tensor:
-        """See `Adversary`; under the control of the last call."""
+        """Returns which errors are positive, see `Adversary`, under the control of the last call."""
         held = torch.zeros_like(x[:CONTROL_SIZE]) if self.last is None else self.last
         return self.slopes(x, held)[0] > 0.0
 
     def response(self, time: Tensor, x: Tensor, u: Tensor, held: Tensor) -> Tensor:
-        """See `Adversary`."""
+        """Returns the gains and whether the call is missed, see `Adversary`."""
         nothing = x.new_zeros(ERRORS.stop, x.shape[1])
         missed = self.ahead(x, nothing, held) < self.ahead(x, nothing, u)
         self.last = torch.where(missed, held, u)
@@ -150,16 +150,16 @@ class Greedy:
 
 
 def attacked(column: Tensor) -> Tensor:
-    """(constraints, B) bool: which are attacked in the columns (B,) of a batch.
+    """Returns (constraints, B) bool: which constraints are attacked in the columns (B,) of a batch.
 
-    One constraint of thrust and one of torque, or all of a group at once, in turns; limits of your own always. A body
-    rate is at its limit within seconds and would else be all that is attacked.
+    In turns these are one constraint of thrust and one of torque, or all of a group at once; limits of your own always.
+    If all were attacked in every column, the body rates would dominate, since they reach their limits within seconds.
     """
     thrust, torque = (rows.stop - rows.start for rows, _ in GROUPS)
     pair = column // 2  # starts of two kinds alternate
 
     def one_or_all(number: Tensor, count: int) -> Tensor:
-        target = number % (count + 1)  # the last one: all
+        target = number % (count + 1)  # the last number means all
         return (target == torch.arange(count, device=column.device)[:, None]) | (target == count)
 
     own = torch.ones(len(OWN), len(column), dtype=torch.bool, device=column.device)

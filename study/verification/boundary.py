@@ -1,8 +1,8 @@
-"""One call of the filter at a time, next to its limits: is every h still >= 0?
+"""Tests single calls of the filter next to its limits: is every h still >= 0?
 
-A draw is a state (`study.verification.limits`) and TRIES desired controls, each of which goes through the filter and
-the plant for one period. Every h is checked every CHECK_BETWEEN s. Draws are independent of each other, so that the
-bound per draw is Clopper and Pearson's.
+A draw is a state (`study.verification.limits`) with TRIES desired controls, each of which goes through the filter and
+the plant for one period. Every h is checked every CHECK_BETWEEN s. Draws are independent, so Clopper and Pearson's
+bound holds per draw.
 """
 
 import dataclasses
@@ -40,15 +40,15 @@ from study.verification.starts import spawned
 from study.verified import fingerprint, gains_of
 
 BATCH = 4096  # states drawn at once
-TRIES = 4  # desired controls at each of them
+TRIES = 4  # desired controls at each state
 CHECK_BETWEEN = 0.1  # s
-SHOWN = 5  # worst cases that a report holds, per constraint
-CALLS = 2 + 3 * sum(BISECTIONS)  # of the filter's rows in a batch, about
+SHOWN = 5  # worst cases in a report, per constraint
+CALLS = 2 + 3 * sum(BISECTIONS)  # about the number of evaluations of the filter's rows per batch
 
 
 @dataclasses.dataclass(frozen=True)
 class Boundary:
-    """What determines the numbers beside the configuration; `period` is that of the filter in s."""
+    """Holds what determines the numbers besides the configuration; `period` is the filter's in s."""
 
     period: float
     seed: int
@@ -59,9 +59,9 @@ class Boundary:
 
 
 def controls(x: Tensor, safety_filter: SafetyFilter, generator: torch.Generator) -> Tensor:
-    """Desired controls at states (16, B), (TRIES, 6, B).
+    """Returns desired controls (TRIES, 6, B) at states (16, B).
 
-    The adversary's, the vertex of the box that is nearest to it, another vertex and one of all controls, at random.
+    They are the adversary's control, the vertex of the control box closest to it, a random vertex and a random control.
     """
     limit = x.new_tensor(safety_filter.c.control_limit)[:, None]
     down = adversarial(safety_filter)(0.0, x)
@@ -72,12 +72,12 @@ def controls(x: Tensor, safety_filter: SafetyFilter, generator: torch.Generator)
 
 
 class Tried(NamedTuple):
-    """What came of a batch of draws; last axis the draws.
+    """Holds the results of a batch of draws; last axis the draws.
 
     Attributes:
-        smallest: (constraints, B) h within the period, under the worst of the controls for each.
-        desired, applied: (constraints, 6, B) those controls, and what the filter made of them.
-        unsolved: filter calls, of `calls`; backup: those in which the backup law decided.
+        smallest: (constraints, B) smallest h within the period, under the worst desired control for each constraint.
+        desired, applied: (constraints, 6, B) these worst controls, and the filter's controls in their place.
+        unsolved, backup: number of filter calls, among `calls`, that were not solved and that the backup law decided.
     """
 
     smallest: Tensor
@@ -93,7 +93,7 @@ def tried(env: InspectionEnv, x: Tensor, desired: Tensor, number: Tensor) -> Tri
     """Applies each of the desired controls (TRIES, 6, B) at states x (16, B) for one period.
 
     Args:
-        env: of TRIES * B episodes; number: (B,) in [0, 1), from which the plants follow.
+        env: with TRIES * B episodes; number: (B,) in [0, 1), which determine the plants.
     """
     tries, _, batch = desired.shape
     flat = desired.transpose(0, 1).flatten(1)
@@ -117,10 +117,10 @@ def tried(env: InspectionEnv, x: Tensor, desired: Tensor, number: Tensor) -> Tri
 
 
 def empty_report(campaign: Any, config: Config) -> dict[str, Any]:
-    """Returns a report of no draws, the form of `boundary --json`.
+    """Returns a report without draws, in the form of `boundary --json`.
 
-    `violating_draws` are those with h < 0 within the period; `limits` and `pairs` count them by what the states were
-    drawn next to, and `worst` has the SHOWN cases of least h per constraint.
+    `violating_draws` counts draws with h < 0 within the period; `limits` and `pairs` count draws by the limits that
+    their states are next to, and `worst` has the SHOWN cases of smallest h per constraint.
     """
     return {
         "campaign": dataclasses.asdict(campaign),
@@ -205,7 +205,7 @@ def table(report: dict[str, Any]) -> str:
 
 
 def barriers_of(experiment: Experiment) -> Callable[[Tensor], Tensor]:
-    """Returns `barriers` of the experiment's filter, compiled where that is."""
+    """Returns `barriers` of the experiment's filter, compiled if the filter is."""
     safety_filter = experiment.checked_filter
     if not experiment.filter_compiled:
         return partial(barriers, safety_filter=safety_filter)
@@ -218,9 +218,9 @@ def barriers_of(experiment: Experiment) -> Callable[[Tensor], Tensor]:
 def run(
     campaign: Boundary, draws: int, experiment: Experiment, path: Path | None
 ) -> Iterator[dict[str, Any]]:
-    """Draws batch after batch and yields the report so far, which `path` holds too and is resumed from.
+    """Draws batch after batch and yields the report so far; `path` holds the same report, and a later call resumes it.
 
-    A batch is always drawn whole, so that there may be more draws than asked for.
+    Only whole batches are drawn, so there may be more draws than asked for.
     """
     config, safety_filter = experiment.config, experiment.checked_filter
     report = report_in(path, campaign, config, table, empty_report)
@@ -243,7 +243,7 @@ def run(
 
 
 def search(campaign: Boundary, draws: int, config: Config, path: Path | None) -> dict[str, Any]:
-    """All draws, with a progress bar; returns the report.
+    """Makes all draws, with a progress bar; returns the report.
 
     Args:
         config: with the filter on; path: see `run`.
@@ -253,7 +253,7 @@ def search(campaign: Boundary, draws: int, config: Config, path: Path | None) ->
     check_is_checked(config)
     experiment = Experiment(config, BATCH * TRIES, seconds=-(-draws // BATCH) * CALLS * period)
     reports = run(campaign, draws, experiment, path)
-    report = next(reports)  # refuses before there is a bar
+    report = next(reports)  # raises InputError before the bar appears
     if report["draws"] >= draws:
         print(f"{path}: holds {report['draws']:,} draws already", file=sys.stderr)
     with bar(draws, "draws", initial=report["draws"]) as shown:

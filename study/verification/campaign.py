@@ -1,4 +1,4 @@
-"""A campaign: batch after batch of starts flown under one policy, into a report that a longer campaign goes on with."""
+"""A campaign: flies batch after batch of starts under one policy, into a report that a longer campaign continues."""
 
 import dataclasses
 import hashlib
@@ -34,14 +34,14 @@ from study.verification.starts import initial_states, spawned
 from study.verification.tally import add
 from study.verification.tape import CHECK_EVERY, Tape
 
-CHECKPOINT, LEARNED = FILES = ("checkpoint:", "learned:")  # before the file of an agent that is the policy
+CHECKPOINT, LEARNED = FILES = ("checkpoint:", "learned:")  # prefixes of a policy that is an agent in a file
 POLICIES = ("random", "adversarial", "pressing", "lookahead")
 BATCH = 1024  # starts drawn at once
-BAR = "{percentage:3.0f}%|{bar}| {n:,.0f}/{total:,} episodes [{elapsed}<{remaining}{postfix}]"  # n: also in part
+BAR = "{percentage:3.0f}%|{bar}| {n:,.0f}/{total:,} episodes [{elapsed}<{remaining}{postfix}]"  # n may be a fraction
 
 
 def blamed(config: Config) -> str:
-    """What leaves no start, where there is none: the bounds, if there are any."""
+    """Returns the settings that are to blame if there is no start: the error bounds, if there are any."""
     nothing = vars(Uncertainty())
     bounds = {
         name: value for name, value in sorted(vars(config.uncertainty).items()) if value != nothing[name]
@@ -60,17 +60,17 @@ def run(
     keep_worst: bool = False,
     observers: Sequence[Observer] = (),
 ) -> Iterator[dict[str, Any]]:
-    """Flies batch after batch and yields the report so far, which `path` holds too and is resumed from.
+    """Flies batch after batch and yields the report so far; `path` holds the same report, and a later call resumes it.
 
-    Whatever can be refused is before the first report. A batch is always drawn whole; where fewer episodes are wanted,
-    its first ones are flown, and a longer campaign goes on with the rest.
+    Invalid input is refused before the first report. A batch is always drawn whole; if fewer episodes are wanted, the
+    first ones are flown, and a longer campaign continues with the rest.
 
     Args:
-        episodes: how many.
+        episodes: number of episodes.
         network: of a policy in a file, else None.
-        path: a JSON file; beside it a violated constraint leaves its worst episode, FILE.CONSTRAINT.npz.
-        keep_worst: every constraint does, violated or not.
-        observers: look on at each batch; more may come once the first report is there.
+        path: a JSON file; beside it the worst episode of each violated constraint is saved, FILE.CONSTRAINT.npz.
+        keep_worst: save the worst episode of every constraint, violated or not.
+        observers: observe each batch; more may be appended after the first report.
     """
     config, env = experiment.config, None
     decide_every = decides_every(config, network)
@@ -122,10 +122,10 @@ def commanding(
     seed: int,
     first: int,
 ) -> Controller:
-    """Who commands the episodes of `env`, the columns from `first` on of a batch whose controls have this seed.
+    """Returns the controller of `env`, which has the columns from `first` on of a batch whose controls have this seed.
 
-    Where errors are worst, the corners of its world are chance's under random controls, those of lookahead under
-    lookahead, and else the greedy ones.
+    If the plant's errors are worst, their corners are random under random controls, chosen by `Lookahead` under
+    lookahead, and else by `Greedy`.
     """
     generator, batch = torch.Generator().manual_seed(seed), campaign.batch_size
     column = torch.arange(first, first + env.time.numel(), device=env.x.device)
@@ -160,7 +160,7 @@ def verify(
     path: Path | None,
     keep_worst: bool = False,
 ) -> dict[str, Any]:
-    """The whole campaign with a progress bar; returns the report.
+    """Flies the whole campaign with a progress bar; returns the report.
 
     Args:
         config: with the filter on; the others: see `run`.
@@ -174,7 +174,7 @@ def verify(
 
     observers: list[Observer] = []
     reports = run(campaign, episodes, experiment, network, path, keep_worst, observers)
-    report = next(reports)  # refuses before there is a bar
+    report = next(reports)  # raises InputError before the bar appears
     if report["episodes"] > episodes:
         print(f"{path}: holds {report['episodes']:,} episodes already, more than asked for", file=sys.stderr)
     with bar(episodes, "episodes", initial=report["episodes"], bar_format=BAR) as shown:
@@ -185,7 +185,7 @@ def verify(
 
 
 def load_commander(policy: str) -> tuple[Policy | None, Config]:
-    """The network of a policy in a file and the configuration it was trained in; None and the defaults for others."""
+    """Returns the network of a policy in a file and the configuration of its training; else None and the defaults."""
     if policy in POLICIES:
         return None, Config()
     prefix, _, file = policy.partition(":")
@@ -198,7 +198,7 @@ def load_commander(policy: str) -> tuple[Policy | None, Config]:
 
 
 def looking_ahead(policy: str, candidates: int | None, horizon: int | None) -> tuple[int, int]:
-    """`candidates` and `horizon` of a campaign, with the defaults of lookahead; refuses them for any other policy."""
+    """Returns a campaign's candidates and horizon, with lookahead's defaults; raises InputError for other policies."""
     if policy == "lookahead":
         return candidates or CANDIDATES, horizon or HORIZON
     if candidates or horizon:
@@ -207,7 +207,7 @@ def looking_ahead(policy: str, candidates: int | None, horizon: int | None) -> t
 
 
 def check_times(campaign: Campaign, config: Config, network: Policy | None) -> None:
-    """Refuses a duration or checks that do not fit the clocks, before anything is built."""
+    """Raises InputError if the duration or the checks do not fit the clocks, before anything is built."""
     duration, check_every = campaign.duration, campaign.check_every
     every = decides_every(config, network)
     if duration % every:
@@ -221,7 +221,7 @@ def check_times(campaign: Campaign, config: Config, network: Policy | None) -> N
 
 
 def exported(experiment: Experiment, filter_in: str) -> Safety:
-    """What the environment needs, with the filter that is exported."""
+    """Returns the experiment's `Safety` with the exported filter, compiled."""
     from kernels.build import NoCompilerError
     from rta.fast.loaded import InC
 
@@ -236,12 +236,12 @@ def exported(experiment: Experiment, filter_in: str) -> Safety:
 
 
 def decides_every(config: Config, network: Policy | None) -> float:
-    """The time in s between two decisions of an agent or of a policy of the campaign's own."""
+    """Returns the s between two decisions: an agent's action period, or the filter's period for other policies."""
     return config.inspection.action_period if network else config.rta.period
 
 
 def digest(network: Policy | None) -> str:
-    """Of a policy's weights: 16 hexadecimal digits; empty without one."""
+    """Returns a digest of a policy's weights, 16 hexadecimal digits; an empty text without a policy."""
     if network is None:
         return ""
     state = sorted(network.state_dict().items())

@@ -1,4 +1,4 @@
-"""Counter-examples: the worst episode of a violated constraint in a file, and flying it again."""
+"""Counter-examples: the worst episode of a violated constraint in a file, and its repetition."""
 
 import math
 from collections.abc import Callable
@@ -22,17 +22,17 @@ from study.files import load_arrays
 from study.flight.fly import Observer, Record, Starts, fly
 from study.verification.tape import Tape
 
-# Flying again flies the recorded controls, so only the plant's rounding differs: compiled or not, on a CPU or a GPU.
-AGREES = 1e-8  # relative to the value or to 1 in the unit of h
+# A repetition flies the recorded controls, so only the plant's rounding differs: compiled or not, on a CPU or a GPU.
+AGREES = 1e-8  # relative to the value, or absolute in the unit of h
 
 
 def counter_example(
     record: Record, tape: Tape, chosen: Tensor, constraint: str, config: Config, check_every: float
 ) -> dict[str, np.ndarray]:
-    """Returns the worst episode for a constraint up to its worst moment, with all that `refly_file` needs.
+    """Returns the worst episode for a constraint up to its worst moment, with all data that `refly_file` needs.
 
     Args:
-        chosen: (B,) bool, the episodes that count; check_every: s between two checks of the flight.
+        chosen: (B,) bool, the episodes to choose from; check_every: s between two checks of the flight.
     """
     row = CONSTRAINTS.index(constraint)
     k = int(torch.where(chosen, record.limits.worst[row], math.inf).argmin())
@@ -52,10 +52,10 @@ def counter_example(
 
 
 class Asking(Observer):
-    """A filter that flies recorded controls, and asks another one what it would have answered.
+    """Replaces a filter: applies recorded controls, and compares them with the answers of another filter.
 
     Attributes:
-        difference: by how much the answers differ from the controls at most, in units of the actuators' limits.
+        difference: largest difference between answers and recorded controls, in units of the actuators' limits.
     """
 
     def __init__(
@@ -80,15 +80,15 @@ class Asking(Observer):
 def refly(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[float, float, float]:
     """Flies the example's applied controls from its state, and asks the filter for each of them again.
 
-    Where rows change places from call to call, the closed loop multiplies the rounding of another batch size or of
-    compiled code: by 20 per call at 10 s. The flight under the recorded controls does not.
+    If the active rows alternate from call to call, the closed loop amplifies the rounding differences of another batch
+    size or of compiled code: by 20 per call at 10 s. The flight under recorded controls does not amplify them.
 
     Args:
         experiment: without the filter in its loop.
 
     Returns:
-        The smallest value of the example's constraint, when in s, and by how much the filter's controls now
-        differ at most, in units of the actuators' limits.
+        The smallest value of the example's constraint, its time in s, and the largest difference of the filter's
+        controls from the recorded ones, in units of the actuators' limits.
     """
     period = experiment.filter.period
     names = ("state", "control_desired", "control_applied")
@@ -109,10 +109,10 @@ def refly(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[float
 
 
 def refly_file(path: str) -> str:
-    """Flies the counter-example in a file, with the filter that the file describes, and says what came of it.
+    """Flies the counter-example in a file, with the filter that the file describes, and returns the outcome as text.
 
     Raises:
-        InputError: not such a file.
+        InputError: the file is not a counter-example.
         ReflyError: the constraint falls to another value than the recorded one, by more than AGREES.
     """
     names = (
@@ -127,7 +127,7 @@ def refly_file(path: str) -> str:
     )
     example = load_arrays(path, names, "counter-example", where_missing="")
     with as_input_error(f"{path}: not a counter-example of verify", *MALFORMED):
-        # any machine can fly it: the filter is asked beside the loop
+        # any machine can repeat the flight: the filter is called beside the loop
         beside = {"train": {"rta": False, "device": "cpu"}, "rta": {"period": float(example["period"])}}
         config = override(recorded(str(example["config"]), path, Config()), beside, path)
         check_clocks(config, config.rta.period, float(example["check_every"]), where=path)

@@ -1,4 +1,4 @@
-"""A campaign's report: what it holds, its JSON file and its text."""
+"""A campaign's report: its content, its JSON file and its text."""
 
 import dataclasses
 import shlex
@@ -21,7 +21,7 @@ WIDTH = 100  # of the text
 
 @dataclasses.dataclass(frozen=True)
 class Campaign:
-    """What determines a campaign's numbers beside the configuration. Reports that lack a setting have its default.
+    """Holds what determines a campaign's numbers besides the configuration. Fields missing in a report have defaults.
 
     Attributes:
         policy: random, adversarial, pressing, lookahead, learned:F or checkpoint:F; weights: digest of the weights in
@@ -29,7 +29,7 @@ class Campaign:
         period: s between filter calls; duration: s per episode; batch_size: starts drawn at once.
         check_every: s between two checks of every constraint.
         candidates, horizon: of lookahead, see `study.verification.lookahead`; else 0.
-        filter: what filters: "python", or what is exported, "c".
+        filter: "python", or "c" for the exported filter.
     """
 
     policy: str
@@ -45,10 +45,10 @@ class Campaign:
 
 
 def empty_report(campaign: Campaign, config: Config) -> dict[str, Any]:
-    """A report of no episodes, the form of `verify --json`.
+    """Returns a report without episodes, in the form of `verify --json`.
 
-    `starts_rejected` counts states left out as in `safe_set`. `fingerprint` is that of the plant and the
-    filter (`study.verified`).
+    `starts_rejected` counts rejected states as in `safe_set`. `fingerprint` is that of the plant and the filter
+    (`study.verified`).
     """
     return {
         "campaign": dataclasses.asdict(campaign),
@@ -68,12 +68,12 @@ def report_in(
     shown: Callable[[dict[str, Any]], str],
     empty: Callable[[Any, Config], dict[str, Any]] = empty_report,
 ) -> dict[str, Any]:
-    """The report that a file holds, of this campaign, to go on with, or an empty one.
+    """Returns this campaign's report from a file, to continue it, or an empty one; raises InputError for other files.
 
-    The campaign is a dataclass of numbers and strings. What `shown` cannot write as text is no report.
+    The campaign is a dataclass of numbers and strings. A file that `shown` cannot write as text is not a report.
 
-    Older files may lack settings or have them by other names; what is written has those of today. From before there
-    was a backup they have no `backup_calls`: none.
+    Older files may lack settings or have RETIRED ones; the returned report has today's settings. Files from before the
+    backup law lack `backup_calls`, which are then 0.
     """
     fresh = empty(campaign, config)
     if path is None or not path.is_file() or not path.stat().st_size:
@@ -98,7 +98,7 @@ def report_in(
 
 
 def of_the_same(before: dict[str, Any], config: Config, path: Path) -> bool:
-    """Whether the tables of a file are of the same plant and filter; what else they hold is of training."""
+    """Tells whether the tables of a file describe the same plant and filter; their other settings concern training."""
     held = override(Config(), of_today(before), str(path))
     parts = "inspection", "rta", "plant", "uncertainty"
     same = all(getattr(held, part) == getattr(config, part) for part in parts)
@@ -106,7 +106,7 @@ def of_the_same(before: dict[str, Any], config: Config, path: Path) -> bool:
 
 
 def table(report: dict[str, Any]) -> str:
-    """A report as text, at most WIDTH columns wide."""
+    """Returns a report as text, at most WIDTH columns wide."""
     steps, episodes = report["violating_steps"], report["violating_episodes"]
     calls = report["filter_calls"]
     total = sum(calls.values())
@@ -130,7 +130,7 @@ def table(report: dict[str, Any]) -> str:
 
 
 def what_next(report: dict[str, Any], path: Path | None) -> str:
-    """Where the report and its worst episodes are, and how to fly one of them again."""
+    """Returns where the report and its worst episodes are, and how to fly one of them again."""
     if path is None:
         return (
             "Nothing was saved: --json F saves the report, and the worst episode of every constraint violated"

@@ -1,16 +1,18 @@
 """States next to the limits of the filter's safe set, one or two limits at a time.
 
-How a state is drawn:
+A state is drawn in four steps:
 
-1. A Latin hypercube all over the safe set (`study.verification.starts.states_of`); states outside it are left out.
-2. Half of the states go next to one limit, half next to two, by the weights AIMED. Of each constraint either h or Psi
-   (Psi_1 where the relative degree is two) is to be small: a gap is drawn
-   log-uniformly from GAP, in units of `gap_units`.
-3. One component is moved towards an end beyond the limit, and bisected until the gap is left: distance, speed, attitude
-   and so on, drawn from those in WAYS. Of two limits the first is approached again where the second led away from it.
-4. A state counts if an episode may start there (`SafetyFilter.is_safe`), every barrier that is enforced is still
-   non-negative, and those that were to be small are at most the largest gap.
-   So limits that are rarely met together have few states, and those that cannot be none.
+1. States come from a Latin hypercube all over the safe set (`study.verification.starts.states_of`); states outside the
+   safe set are rejected.
+2. Half of the states are moved next to one limit, half next to two, chosen by the weights AIMED. For each constraint
+   either h or Psi (Psi_1 for relative degree two) is to be small: a gap is drawn log-uniformly from GAP, in units of
+   `gap_units`.
+3. One component, such as distance, speed or attitude, is moved towards an end beyond the limit, and bisected until the
+   gap is left. The component is drawn from WAYS. With two limits, the first one is approached again if the move to the
+   second led away from it.
+4. A state counts if an episode may start there (`SafetyFilter.is_safe`), every enforced barrier is still non-negative,
+   and the barriers that were to be small are at most the largest gap. So pairs of limits that are rarely met together
+   have few states, and pairs that cannot be met together have none.
 """
 
 import itertools
@@ -32,13 +34,13 @@ from rta.names import CONSTRAINTS
 from study.verification.starts import NUMBERS, spawned, states_of
 
 GAP = 1e-6, 1e-1  # smallest and largest
-BISECTIONS = 2, 2, 20  # of a component's way; after each of them what is broken anyway is left out
-CANDIDATES = 15  # in a hypercube, for each state that is wanted: most often enough
-HYPERCUBES = 100  # drawn before the limits count as out of reach
+BISECTIONS = 2, 2, 20  # of a component's way; after each, states that must violate a limit are rejected
+CANDIDATES = 15  # in a hypercube, for each wanted state: usually enough
+HYPERCUBES = 100  # most that are drawn before giving up
 LIMITS = len(CONSTRAINTS)
 PAIRS = tuple(itertools.combinations(range(LIMITS), 2))
 
-# the moves beyond a constraint, by the keys of `ends`; beyond one that is not here (your own) all are tried
+# moves beyond each constraint, by the keys of `ends`; for constraints that are not here (your own) all moves are tried
 WAYS = {
     "collision": ("nearer",),
     "dynamic_speed": ("faster",),
@@ -55,7 +57,7 @@ WAYS = {
     "angular_velocity_z": ("rate_z",),
 }
 
-# how often each is aimed at, beside the others; of a pair the product
+# relative frequency of each limit; a pair has the product
 AIMED = dict.fromkeys(CONSTRAINTS, 1.0) | {
     "collision": 3.0,
     "keep_in_zone": 2.0,
@@ -70,13 +72,13 @@ AIMED = dict.fromkeys(CONSTRAINTS, 1.0) | {
 
 @dataclass(frozen=True)
 class NearLimits:
-    """States next to limits, or on their way; last axis the states.
+    """Holds states next to limits, or on their way there; last axis the states.
 
     Attributes:
         state: (16, B).
-        limits: (2, B) the constraints by index, twice the same where it is one.
-        targets: (2, B) rows of `barriers`; gaps: (2, B) what is to be left of them at least.
-        column: (B,) in the order in which they are drawn.
+        limits: (2, B) indices of the two constraints, twice the same for a single one.
+        targets: (2, B) rows of `barriers`; gaps: (2, B) the least values to leave for them.
+        column: (B,) numbers of the states in the order of drawing.
     """
 
     state: Tensor
@@ -90,13 +92,13 @@ class NearLimits:
 
 
 def together(parts: list[NearLimits]) -> NearLimits:
-    """All states of the parts."""
+    """Joins the states of the parts."""
     fields = zip(*(vars(part).values() for part in parts), strict=True)
     return NearLimits(*(torch.cat(each, -1) for each in fields))
 
 
 def barriers(x: Tensor, safety_filter: SafetyFilter) -> Tensor:
-    """What must not be negative at states (16, B): every h, then every Psi (2 * constraints, B)."""
+    """Returns the values that must not be negative at states (16, B): every h, then every Psi (2 * constraints, B)."""
     if not x.shape[1]:
         return x.new_zeros(2 * LIMITS, 0)
     _, _, psi, h = safety_filter.program.evaluated(x)
@@ -104,7 +106,7 @@ def barriers(x: Tensor, safety_filter: SafetyFilter) -> Tensor:
 
 
 def gap_units(safety_filter: SafetyFilter) -> list[float]:
-    """By each of `barriers` the unit in which its gap is drawn: of h, and k1 times that of a Psi_1."""
+    """Returns for each of `barriers` the unit of its gap: that of h, and for a Psi_1 k1 times that of its h."""
     c = safety_filter.c
     own = {name: c.max_speed**2 for name in CONSTRAINTS if name.startswith("velocity")}
     own |= {name: c.max_rate**2 for name in CONSTRAINTS if name.startswith("angular")}
@@ -115,7 +117,7 @@ def gap_units(safety_filter: SafetyFilter) -> list[float]:
 
 
 def ends(x: Tensor, generator: torch.Generator, c: Limits) -> dict[str, Tensor]:
-    """Where the moves of states x (16, B) end, beyond a limit: states (16, B) by the name of the move."""
+    """Returns the ends of the moves of states x (16, B), beyond a limit: states (16, B) by the name of the move."""
     fastest = 1.1 * (c.docking_speed + c.speed_slope * c.max_distance)
     outwards, sun = unit(x[P]), sun_and_earth_in_body(x)[0]
     nearest = reach(outwards, c)
@@ -129,7 +131,7 @@ def ends(x: Tensor, generator: torch.Generator, c: Limits) -> dict[str, Tensor]:
         return other
 
     def pointing(axis: str, direction: Tensor) -> Tensor:
-        """The attitude after the shortest turn of a body axis to a direction in the body frame."""
+        """Returns the attitude after the shortest turn of a body axis to a direction in the body frame."""
         index, sign = AXES[axis]
         body = torch.zeros_like(direction)
         body[index] = sign
@@ -138,7 +140,7 @@ def ends(x: Tensor, generator: torch.Generator, c: Limits) -> dict[str, Tensor]:
         )
 
     return {
-        "nearer": but(V, there * x[V], but(P, nearest * outwards)),  # as fast, of what is allowed there
+        "nearer": but(V, there * x[V], but(P, nearest * outwards)),  # same share of the allowed speed
         "farther": but(P, c.max_distance * outwards),
         "inwards": but(V, -fastest * outwards),
         "outwards": but(V, fastest * outwards),
@@ -155,7 +157,7 @@ def ends(x: Tensor, generator: torch.Generator, c: Limits) -> dict[str, Tensor]:
 
 
 def between(x: Tensor, end: Tensor, share: Tensor) -> Tensor:
-    """States (16, B) a share (B,) of the way from x to the end; attitudes turn about one axis."""
+    """Returns states (16, B) a share (B,) of the way from x to the end; attitudes turn about one axis."""
     y = x + share * (end - x)
     return torch.cat((y[: Q.start], unit(y[Q]), y[Q.stop :]))
 
@@ -163,7 +165,7 @@ def between(x: Tensor, end: Tensor, share: Tensor) -> Tensor:
 def approach(
     near: NearLimits, which: int, generator: torch.Generator, barriers_at: Function, c: Limits
 ) -> NearLimits:
-    """Moves states next to the first or second of their limits; those that do not get there are left out."""
+    """Moves states next to the first or second of their limits; states that do not get there are rejected."""
     x, target, gap = near.state, near.targets[which], near.gaps[which]
     every = ends(x, generator, c)
     names = list(every)
@@ -195,7 +197,7 @@ def approach(
 def near_limits(
     count: int, seed: int, safety_filter: SafetyFilter, barriers_at: Function, device: torch.device | str
 ) -> NearLimits:
-    """States next to limits as this file's beginning says, on the device; `barriers_at` is `barriers` of the filter.
+    """Draws states next to limits as the module's docstring says; `barriers_at` is `barriers` of the filter.
 
     Raises:
         RuntimeError: fewer were found in HYPERCUBES hypercubes.
@@ -227,12 +229,12 @@ def near_limits(
 
 
 def safe(values: Tensor) -> Tensor:
-    """(B,) bool: of `barriers` all are non-negative."""
+    """Tells where all of `barriers` are non-negative, (B,) bool."""
     return (values >= 0.0).all(0)
 
 
 def aimed(x: Tensor, scale: Tensor, generator: torch.Generator) -> NearLimits:
-    """States x (16, B) with the limits that they are to be moved next to, drawn."""
+    """Draws for states x (16, B) the limits that they are to be moved next to."""
     number = torch.rand(6, x.shape[1], generator=generator, dtype=torch.float64).to(x)
     weight = torch.tensor(list(AIMED.values()), dtype=torch.float64)
     pairs = torch.tensor(PAIRS)
@@ -248,6 +250,6 @@ def aimed(x: Tensor, scale: Tensor, generator: torch.Generator) -> NearLimits:
 
 
 def drawn(weight: Tensor, number: Tensor) -> Tensor:
-    """Indices (B,) drawn by weights (k,) from numbers in [0, 1), (B,)."""
+    """Draws indices (B,) by weights (k,) from numbers (B,) in [0, 1)."""
     share = weight.cumsum(0).to(number)
     return torch.searchsorted(share, number * share[-1], right=True).clamp(max=len(weight) - 1)

@@ -1,4 +1,4 @@
-"""The adversary that tries: candidates go through the filter and the true plant for some calls, the worst is flown."""
+"""An adversary that simulates: candidates pass filter and true plant for some calls, and the worst one is flown."""
 
 import itertools
 
@@ -12,38 +12,38 @@ from inspection.world.corners import CORNER, ENDS, ERRORS, GAINS, MISSED, Record
 from study.scales import scales
 from study.verification.adversaries import GROUPS, Greedy, attacked
 
-CANDIDATES, HORIZON = 24, 3  # by default
+CANDIDATES, HORIZON = 24, 3  # defaults
 VERTICES = torch.tensor(tuple(itertools.product((-1.0, 1.0), repeat=3)), dtype=torch.float64)  # (8, 3)
-# Of a corner, what thrust's worst candidate says: errors of position and velocity, gains of thrust.
+# ends of a corner that come from thrust's worst candidate: errors of position and velocity, gains of thrust
 OF_THRUST = torch.tensor([end < 6 or GAINS.start <= end < GAINS.start + 3 for end in range(CORNER)])
-CHANGES = 0.125  # probability that an end of a corner is another one in a candidate that goes on from it
+CHANGES = 0.125  # probability that a candidate flips an end of the corner that it starts from
 
 
 class Lookahead:
-    """A `Controller` that knows the true states, the plant, its noise to come and the calls that will be missed.
+    """Chooses controls as a `Controller` that knows the true states, the plant, its future noise and missed calls.
 
-    At every call K desired controls per spacecraft are held over H calls of the filter from the true state on. Thrust
-    is then that of the candidate by which the smallest h of thrust's constraints, over all these checks and in filter
-    calls (`study.scales`), becomes smallest; torque likewise. Programs of thrust and of torque are apart,
-    so that neither has to wait for the other.
+    At every call, K desired controls per spacecraft are held over H calls of the filter from the true state on. Thrust
+    is then taken from the candidate with the smallest h of thrust's constraints, over all checks and in filter calls
+    (`study.scales`); torque likewise. The filter's programs for thrust and torque are separate, so that thrust and
+    torque can come from different candidates.
 
-    What an episode attacks: one constraint of thrust and one of torque, or all of a group at once, in turns by the
-    number of its column (`attacked`).
+    An episode attacks one constraint of thrust and one of torque, or all of a group at once, in turns by the number of
+    its column (`attacked`).
 
-    The candidates are the control last chosen, the vertices of both boxes, and uniformly random ones.
+    The candidates are the control chosen last, the vertices of both control boxes, and uniformly random controls.
 
-    In a world whose errors are worst it is the world's `Adversary`, too. Then it chooses when a state is measured, and
-    a candidate has a corner of the world for these calls as well: the one last chosen with some ends changed, or
-    the errors that `Greedy` would have, with gains by chance; and which of the calls are missed. Errors of position and
-    velocity and gains of thrust are then those of thrust's candidate, the others torque's. Whether the call is missed
-    says one of both, in turns.
+    In a plant with worst errors it is also the plant's `Adversary`. Then it chooses when a state is measured, and a
+    candidate also has a corner of the errors for these calls, and says which calls are missed. The corner is the one
+    chosen last with some ends flipped, or has the errors of `Greedy` with random gains. Errors of position and velocity
+    and gains of thrust come from thrust's candidate, the others from torque's. Whether the call is missed comes from
+    either, in turns.
 
     Args:
-        env: that is flown; its plant is read and left as it is.
-        tried: of K times as many episodes, behind the same filter and in a plant of the same parameters.
+        env: the flown environment; its plant is read and not changed.
+        tried: an environment with K times as many episodes, the same filter and a plant with the same parameters.
         horizon: H.
-        generator, batch, first: numbers are drawn for a whole batch, of which env has the columns from `first` on.
-        greedy: who proposes corners, which attacks the same constraints; None: it does not choose any.
+        generator, batch, first: numbers are drawn for a whole batch; env has its columns from `first` on.
+        greedy: proposes corners and attacks the same constraints; None: no corners are chosen.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Lookahead:
         self.scale = env.x.new_tensor(scales(env.c, self.period))[:, None]
         column = torch.arange(first, first + env.time.numel(), device=env.x.device)
         self.attacked = attacked(column)
-        self.thrust_leads = column // (2 * 8 * 7) % 2 == 0  # after every pair of constraints
+        self.thrust_leads = column // (2 * 8 * 7) % 2 == 0  # changes after all pairs of constraints
         self.last = torch.zeros_like(env.x[:CONTROL_SIZE])
         self.corner = torch.zeros(CORNER, env.time.numel(), dtype=torch.bool, device=env.x.device)
 
@@ -72,16 +72,16 @@ class Lookahead:
         return self.last
 
     def errors(self, time: Tensor, x: Tensor) -> Tensor:
-        """See `Adversary`."""
+        """Chooses, and returns which errors are positive, see `Adversary`."""
         self.choose(time, x)
         return self.corner[ERRORS]
 
     def response(self, time: Tensor, x: Tensor, u: Tensor, held: Tensor) -> Tensor:
-        """See `Adversary`."""
+        """Returns the gains and whether the call is missed, see `Adversary`."""
         return self.corner[GAINS.start :]
 
     def choose(self, time: Tensor, x: Tensor) -> None:
-        """Takes the worst candidates at true states x (16, B) at the episodes' time (B,) in s."""
+        """Chooses the worst candidates at true states x (16, B) at the episodes' time (B,) in s."""
         desired = self.draw()  # (6, K, B)
         corners = self.draw_corners(time, x) if self.greedy else None  # (H, 19, K, B)
         h = self.outcome(time, x, desired, corners).masked_fill(~self.attacked[:, None], torch.inf)
@@ -99,7 +99,7 @@ class Lookahead:
             self.corner[MISSED] = torch.where(self.thrust_leads, thrust[MISSED], torque[MISSED])
 
     def draw(self) -> Tensor:
-        """The candidates (6, K, B) in N and N m."""
+        """Returns the candidates (6, K, B) in N and N m."""
         vertices = VERTICES.to(self.last).T.repeat(2, 1)[..., None].expand(-1, -1, self.last.shape[1])
         count = max(self.candidates - 1 - vertices.shape[1], 0)
         new = (
@@ -108,9 +108,9 @@ class Lookahead:
         return torch.cat((self.last[:, None], new), 1)[:, : self.candidates]
 
     def draw_corners(self, time: Tensor, x: Tensor) -> Tensor:
-        """The candidates' corners (H, 19, K, B) bool, the same for all calls but for those that are missed.
+        """Returns the candidates' corners (H, 19, K, B) bool, the same for all calls except which are missed.
 
-        The first one is the last one, in turns the others go on from it and from the greedy errors.
+        The first candidate has the corner chosen last. The others use in turns this corner and the greedy errors.
         """
         assert self.greedy
         ends, missed = self.random(ENDS, self.candidates), self.random(self.horizon, self.candidates) < 0.5
@@ -122,16 +122,16 @@ class Lookahead:
         return torch.cat((ends.expand(self.horizon, -1, -1, -1), missed[:, None]), 1)
 
     def random(self, *size: int) -> Tensor:
-        """(*size, B) numbers in [0, 1), by the columns' numbers."""
+        """Draws numbers (*size, B) in [0, 1) for a whole batch; returns those of this environment's columns."""
         numbers = torch.rand(*size, self.batch, generator=self.generator, dtype=torch.float64)
         return numbers[..., self.first : self.first + self.last.shape[1]].to(self.last)
 
     def outcome(self, time: Tensor, x: Tensor, desired: Tensor, corners: Tensor | None = None) -> Tensor:
-        """The smallest h (constraints, K, B) in filter calls, over the checks after true x (16, B) at times (B,)."""
+        """Returns the smallest h (constraints, K, B) in filter calls, over the checks after x (16, B) at time (B,)."""
         env, tried, control = self.env, self.tried, desired.flatten(1)
         x, time = x.repeat(1, self.candidates), time.repeat(self.candidates)
         if env.plant and tried.plant:
-            state = env.plant.state_dict()  # whose last axes are the episodes
+            state = env.plant.state_dict()  # the last axes are the episodes
             tried.plant.load_state_dict(
                 {name: part.repeat(*(1,) * (part.dim() - 1), self.candidates) for name, part in state.items()}
             )

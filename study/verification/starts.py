@@ -1,4 +1,4 @@
-"""Where a campaign's episodes start: the paper's distribution and a Latin hypercube of the whole safe set."""
+"""Initial states of a campaign's episodes: the paper's distribution and a Latin hypercube of the whole safe set."""
 
 import math
 
@@ -14,22 +14,22 @@ from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.filter import SafetyFilter
 
-INSIDE = 5.0  # m, within max_distance, where the safe set's initial states are at the farthest
-NUMBERS = 17  # from which a start follows
-HYPERCUBES = 100  # drawn before a safe set counts as empty
+INSIDE = 5.0  # m, least distance of the safe set's initial states from max_distance
+NUMBERS = 17  # that determine a start
+HYPERCUBES = 100  # most that are drawn before a safe set counts as empty
 
 
 def spawned(seed: int, count: int) -> list[int]:
-    """Seeds of independent streams of random numbers."""
+    """Returns seeds of independent streams of random numbers."""
     streams = np.random.SeedSequence(seed).spawn(count)
     return [int(stream.generate_state(1, np.uint64)[0]) for stream in streams]
 
 
 def states_of(s: Tensor, c: Limits) -> tuple[Tensor, Tensor]:
-    """States (16, B) and priority vectors (3, B) all over the safe set and around it, from numbers in [0, 1], (17, B).
+    """Returns states (16, B) and priority vectors (3, B) in and around the safe set, from numbers in [0, 1], (17, B).
 
-    The distance is INSIDE of the zone at least, the speed at most the limit there, rates, temperature and energy are
-    within their limits; directions, attitudes and the Sun's angle are any.
+    The distance is at least INSIDE below the zone's end, the speed at most the limit at this distance. Rates,
+    temperature and energy are within their limits. Directions, attitudes and the Sun's angle are arbitrary.
     """
     x = torch.zeros(SIZE, s.shape[1], dtype=torch.float64)
     outwards = isotropic(s[1:3])
@@ -46,14 +46,13 @@ def states_of(s: Tensor, c: Limits) -> tuple[Tensor, Tensor]:
 
 
 def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:
-    """Initial states from the whole safe set: those that the filter takes for safe (`SafetyFilter.is_safe`).
+    """Returns initial states from the whole safe set, which the filter accepts (`SafetyFilter.is_safe`).
 
-    A Latin hypercube over distance up to INSIDE of the zone, speed up to the limit there, all directions and attitudes,
-    body rates, temperature and energy down to their limits and the Sun's angle.
+    They come from Latin hypercubes of `states_of`.
 
     Returns:
-        States (16, count), priority vectors (3, count) and how many other states of the hypercubes, up to the last
-        one taken, have every h non-negative.
+        States (16, count), priority vectors (3, count) and the number of rejected states of the hypercubes, up to the
+        last one taken, with every h non-negative.
 
     Raises:
         RuntimeError: fewer were found in HYPERCUBES hypercubes.
@@ -75,7 +74,7 @@ def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor
 
 
 def initial_states(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:
-    """The paper's distribution and the safe set in turns; returns as `safe_set`."""
+    """Returns initial states of the paper's distribution and the safe set in turns, in the form of `safe_set`."""
     first, second = spawned(seed, 2)
     generator = torch.Generator().manual_seed(first)
     paper = sample_initial_state(count - count // 2, generator, safety_filter.c, safety_filter.is_safe)

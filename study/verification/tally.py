@@ -1,4 +1,4 @@
-"""Counting what flights did: violations, worst cases and filter calls."""
+"""Counts of flights: violations, worst cases and filter calls."""
 
 from typing import Any
 
@@ -11,11 +11,11 @@ from study.verification.tape import Tape
 
 
 def empty_tally() -> dict[str, Any]:
-    """Returns what is counted about episodes: none so far.
+    """Returns a tally without episodes.
 
-    `steps` are the states checked: the start, and one at each check. `worst_case` says which start of which batch gave
-    the `worst_value`, and when: `initial_states` of that size and seed has it in that column. `backup_calls` are those
-    in which the backup law decided, not the program's solution (`FilterResult.backup`).
+    `steps` counts the checked states: the start, and one at each check. `worst_case` says which start of which batch
+    gave the `worst_value`, and when: `initial_states` of this batch's size and seed returns the start in this column.
+    `backup_calls` counts calls that the backup law decided, not the program (`FilterResult.backup`).
     """
     return {
         "episodes": 0,
@@ -32,9 +32,9 @@ def empty_tally() -> dict[str, Any]:
 
 
 def add(tally: dict[str, Any], record: Record, tape: Tape, chosen: Tensor, origin: dict[str, int]) -> None:
-    """Adds the episodes where `chosen` (B,) bool is set to a tally, in place.
+    """Adds the episodes for which `chosen` (B,) bool is true to a tally, in place.
 
-    Their columns are those of `initial_states` of the origin's size and seed.
+    Their columns are those of `initial_states` with the origin's size and seed.
     """
     batch = int(chosen.sum())
     if batch == 0:

@@ -1,4 +1,4 @@
-"""What a campaign keeps of a flight beside its record: the controls of every call."""
+"""Data that a campaign keeps of a flight besides its record: the controls of every call."""
 
 import itertools
 import math
@@ -12,18 +12,18 @@ from inspection.model.state import CONTROL_SIZE
 from inspection.world.corners import CORNER
 from study.flight.fly import Limits, Observer
 
-CHECK_EVERY = 1.0  # s between two checks, where nothing else is wanted
+CHECK_EVERY = 1.0  # s between two checks, the default
 
 
 class Tape(Observer):
     """Keeps the controls of every call of the filter; last axis the episodes.
 
     Args:
-        duration: s that is flown; first: the number of the first column.
+        duration: s of flight; first: the number of the first column.
 
     Attributes:
-        desired, applied: (calls, 6, B); corners: (calls, 19, B) bool, of the worlds at each call; of those that have
-            none, (calls, 0, B).
+        desired, applied: (calls, 6, B); corners: (calls, 19, B) bool, of the plants' errors at each call, or
+            (calls, 0, B) if the plants have no corners.
         column: (B,) the episode's number.
     """
 

@@ -1,8 +1,8 @@
-/* The agent's part in a flight: it looks, and decides; see policy.h. */
+/* The agent in a flight: it inspects, and decides; see policy.h. */
 #include "policy.h"
 
 static struct policy_clusters clusters;
-static double left[3]; /* the direction of the nearest cluster of points that are lit and left */
+static double left[3]; /* direction of the closest cluster of lit points that are not inspected */
 
 void agent_begin(void)
 {
@@ -18,7 +18,7 @@ void agent_look(void)
     policy_look(&clusters, wanted, state, left);
 }
 
-/* The agent's decision, into `desired`. */
+/* Writes the agent's decision into `desired`. */
 void agent_decide(void)
 {
     double observation[POLICY_OBSERVATIONS];

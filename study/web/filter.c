@@ -1,8 +1,8 @@
-/* What the page asks of one filter; it follows safety_filter.c, whose functions it calls. NAME gives each the filter's
- * number.
+/* Calls of the page to one filter, whose safety_filter.c comes before this text. NAME adds the filter's number to each
+ * name.
  */
 
-/* From `seen` and `desired` to `control`, which rows act, and status, verified, backup. */
+/* Calls the filter with `seen` and `desired`; writes `control`, `active`, and status, verified, backup as `answer`. */
 void NAME(ask)(void)
 {
     struct safety_filter_input in = {.sent_count = sent_count};
@@ -22,19 +22,19 @@ void NAME(ask)(void)
     answer[2] = out.backup;
 }
 
-/* Torque that points the camera at the chief, into `desired`. */
+/* Writes torque that points the camera at the chief into `desired`. */
 void NAME(assist)(void)
 {
     assistant(seen, &desired[3]);
 }
 
-/* The classical guidance's control, into `desired`. */
+/* Writes the classical guidance's control into `desired`. */
 void NAME(guide)(void)
 {
     guidance(seen, score, desired);
 }
 
-/* The way to rest behind `control`, into `way`; returns how many places. */
+/* Writes the backup trajectory after `control` into `way`; returns its number of points. */
 int NAME(rest)(void)
 {
     int count = 0;

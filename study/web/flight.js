@@ -1,8 +1,8 @@
-// A flight in the browser: the module's arrays and calls, who commands, and the clocks. Nothing here draws.
+// A flight in the browser: the module's arrays and calls, the controllers, and the clocks. Nothing here draws.
 "use strict";
 
 const FAILURES = ["crash", "out_of_bounds", "out_of_power"];
-const LONGEST_ACTION = 60; // s that random controls are held
+const LONGEST_ACTION = 60; // s, longest hold of a random control
 
 async function unpacked(base64) {
   const bytes = Uint8Array.from(atob(base64), letter => letter.charCodeAt(0));
@@ -17,15 +17,15 @@ async function loaded(base64) {
 }
 
 class Flight {
-  // wasm: the module's exports; task: what play.py says of the task
+  // wasm: the module's exports; task: the data of `task` in play.py
   constructor(wasm, task) {
     Object.assign(this, { wasm, task, filtered: true, period: task.periods[0], pilot: "you", assistant: true, random: Math.random });
-    this.erring = false; // whether errors are at their worst, from the next start on
+    this.erring = false; // whether errors are worst, from the next start on
     this.keys = { thrust: [0, 0, 0], torque: [0, 0, 0] }; // from -1 to 1, along the body's axes
     for (const [name, size] of Object.entries(task.arrays)) this[name] = new Float64Array(wasm.memory.buffer, wasm[name].value, size);
   }
 
-  // the number of the filter that is called; the one that is told of errors is the last
+  // the number of the called filter; the last filter is the one with error bounds
   get filter() { return this.worst ? this.task.periods.length : this.task.periods.indexOf(this.period); }
 
   // seconds between two calls
@@ -33,7 +33,7 @@ class Flight {
 
   get starts() { return this.task.worlds[Number(this.erring)].starts; }
 
-  // seed: of the plant that has the errors
+  // seed: of the plant with errors
   begin(start, seed = 0) {
     const { wasm, task } = this;
     this.worst = this.erring;
@@ -57,10 +57,10 @@ class Flight {
     if (this.wasm.agent_look) this.wasm.agent_look();
   }
 
-  // what is wanted, into `desired`
+  // writes the desired control into `desired`
   command() {
     const { limit } = this.task, { wasm, desired, time } = this;
-    if (this.pilot === "agent") { // between its decisions the last control is wanted, as in the closed loop
+    if (this.pilot === "agent") { // between its decisions it desires the last control, as in the closed loop
       if (time % this.task.action_period === 0) wasm.agent_decide();
       else if (!this.missed) desired.set(this.control);
     } else if (this.pilot === "guide") {
@@ -81,7 +81,7 @@ class Flight {
     limit.forEach((most, j) => { desired[j] = Math.max(-most, Math.min(most, desired[j])); });
   }
 
-  // a call: from `state` to `seen`, and from `desired` to `control` and to what acts
+  // a call of the filter: from `state` to `seen`, and from `desired` to `control` and `acting`
   call() {
     const { wasm } = this;
     if (this.worst) wasm.worst_sense();
@@ -96,10 +96,10 @@ class Flight {
     if (this.filtered && !this.missed) this.calls[this.answer[0]] += 1;
   }
 
-  // whether the last call was, so that the control before it is held
+  // whether the last call was missed, so that the control before it is held
   get missed() { return this.corner[18] > 0; }
 
-  // one second
+  // flies one second
   second() {
     if (this.outcome) return;
     const { wasm, task } = this;
@@ -125,7 +125,7 @@ class Flight {
     this.judge();
   }
 
-  // which limits are violated, and since when
+  // notes which limits are violated, and since when
   judge() {
     this.wasm.judge();
     this.task.limits.forEach(({ name }, i) => {
@@ -133,7 +133,7 @@ class Flight {
     });
   }
 
-  // what --initial-state of simulate reads
+  // returns the file for --initial-state of simulate
   saved_state() {
     const x = this.start.state;
     return JSON.stringify({
@@ -142,15 +142,14 @@ class Flight {
     });
   }
 
-  // what flies the saved flight again
+  // returns the commands that fly the saved flight again
   command_again() {
     const seed = this.worst ? `--seed ${this.seed} ` : "";
     return `python main.py simulate --config flight.toml --no-rta --controller recorded --actions flight.npy --initial-state flight.json `
       + `${seed}--step 1 --duration ${Math.max(1, this.time)} --out flight.npz && python main.py replay flight.npz --out flight.html`;
   }
 
-  // what --actions of simulate reads: the controls that were flown and, with errors, where these were, a row a second, as an .npy
-  // file
+  // returns the .npy file for --actions of simulate, a row per second: the controls and, with errors, their corners
   saved_controls() {
     const rows = this.controls.map((control, i) => (this.worst ? [...control, ...this.corners[i]] : control));
     const text = `{'descr': '<f8', 'fortran_order': False, 'shape': (${rows.length}, ${this.worst ? 25 : 6}), }`;

@@ -1,4 +1,4 @@
-"""The flight of a page as WebAssembly: functions of Python printed as C, which C by hand calls, compiled by ziglang."""
+"""The flight of a page as WebAssembly: Python functions printed as C, which hand-written C calls, built by ziglang."""
 
 import subprocess
 import sys
@@ -37,26 +37,26 @@ from rta.names import CONSTRAINTS
 from settings import InputError
 from study.verification.adversaries import NEXT_TO_NOTHING, Greedy, adversarial
 
-PILOT = "even"  # the guidance that flies the page by itself
-PLACES = 250  # of a line ahead, at most
-# no fused products, as in `kernels.build`, so that each operation rounds as it does in Python
+PILOT = "even"  # the guidance that can fly on the page
+PLACES = 250  # largest number of points on a predicted path
+# without fused products, as in `kernels.build`, so that each operation rounds as in Python
 FLAGS = "-target wasm32-wasi -mexec-model=reactor -std=gnu11 -O2 -ffp-contract=off -fno-math-errno "
 FLAGS += "-fno-tree-slp-vectorize -fvisibility=default -rdynamic -w -s"
 
 
 def arrays(c: InspectionParameters) -> dict[str, int]:
-    """Returns the arrays of double precision that page and module share, with their lengths."""
+    """Returns the lengths of the double-precision arrays that page and module share, by name."""
     sizes = (
-        (16, "state seen"),  # the true state, and what it is taken for
-        (6, "desired control acting"),  # controls: wanted, commanded, and what acts
+        (16, "state seen"),  # the true state, and the measured one
+        (6, "desired control acting"),  # controls: desired, commanded, and acting
         (len(CONSTRAINTS), "values active"),  # h, and whether a row changes the control
         (3, "answer failed"),  # status, verified, backup; crash, out of bounds, out of power
         (3, "priority"),
         (1, "score"),
         (c.num_points, "weights lit inspected"),
-        (3 * PLACES, "ahead way"),  # places of free flight, and on the way to rest
-        (20, "plant"),  # of a world with errors, and
-        (19, "corner"),  # where its errors are now, see worst.c
+        (3 * PLACES, "ahead way"),  # points of free flight, and of the backup trajectory
+        (20, "plant"),  # the numbers of a plant with errors, and
+        (19, "corner"),  # its errors now, see worst.c
     )
     return {name: size for size, names in sizes for name in names.split()}
 
@@ -64,11 +64,11 @@ def arrays(c: InspectionParameters) -> dict[str, int]:
 def compiled(
     filters: Sequence[SafetyFilter], plant: PlantParameters | None, agent: Mapping[str, str]
 ) -> bytes:
-    """Returns the module, which asks its surroundings for nothing.
+    """Returns the module, which imports nothing.
 
     Args:
-        filters: by their numbers; the last one has bounds of the errors, where there are any.
-        plant: has the errors; agent: C sources by file, see `study.export.policy`, or none.
+        filters: by their numbers; the last one has the error bounds, if there are any.
+        plant: has the errors, if any; agent: C sources by file, see `study.export.policy`, may be empty.
 
     Raises:
         InputError: the compiler fails.
@@ -109,7 +109,7 @@ def compiled(
 
 
 def by_hand(name: str) -> str:
-    """Returns a file of this folder."""
+    """Returns the text of a file in this folder."""
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
@@ -122,7 +122,7 @@ def named(
 
 
 def of_flight(safety_filter: SafetyFilter) -> list[Printed]:
-    """Prints the model, and what `play.c` calls beside it."""
+    """Prints the model, and the other functions that `play.c` calls."""
     c, (x, u) = safety_filter.c, safety_filter.probe()[:2]
     normals = fibonacci_sphere(c.num_points)
     n = c.num_points
@@ -137,7 +137,7 @@ def of_flight(safety_filter: SafetyFilter) -> list[Printed]:
 
 
 def to_rest(backup: NominalCheck, x: Tensor, u: Tensor) -> list[Tensor]:
-    """Returns the states after a hold of controls (6, B), both laws' controls there, and whether motion has ended."""
+    """Returns the states after a hold of controls (6, B), the laws' controls there, and whether motion has ended."""
     end = path(x, u, backup.flight)[-1]
     torque = slew(end, backup.pointing)
     arrived = (backup.terminal.room(end) >= 0.0)[list(ENDS[0])].all(0)
@@ -145,7 +145,7 @@ def to_rest(backup: NominalCheck, x: Tensor, u: Tensor) -> list[Tensor]:
 
 
 def of_filter(safety_filter: SafetyFilter, number: int) -> list[str]:
-    """Returns the source of a filter, and of a controller in its rhythm."""
+    """Returns the C source of a filter, and of controllers with its period."""
     c, every, (x, u) = safety_filter.c, safety_filter.period, safety_filter.probe()[:2]
 
     def assistant(x: Tensor) -> list[Tensor]:
@@ -173,9 +173,9 @@ def of_filter(safety_filter: SafetyFilter, number: int) -> list[str]:
 
 
 def of_world(safety_filter: SafetyFilter, parameters: PlantParameters) -> list[Printed]:
-    """Prints a world whose errors are worst, and who chooses its corners; `safety_filter` has its bounds."""
+    """Prints a plant whose errors are worst, and the choice of its corners; `safety_filter` has its bounds."""
     c, (x, u) = safety_filter.c, safety_filter.probe()[:2]
-    plant = Plant(replace(parameters, latency=0), c, 1, "cpu")  # what is old by then, the driver keeps
+    plant = Plant(replace(parameters, latency=0), c, 1, "cpu")  # worst.c keeps the old measurements
     greedy, now = Greedy(safety_filter), torch.zeros(1)
     ends, gains = (x.new_ones(part.stop - part.start, 1) for part in (ERRORS, GAINS))
 

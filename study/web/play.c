@@ -1,13 +1,13 @@
 /* A flight for a page: the state, and the model. Its arrays are in play.h. */
 
-/* The constraints' values of now, and which ends have come. */
+/* Writes the constraints' values now, and which failures have occurred. */
 void judge(void)
 {
     constraint_values(state, values);
     failures(state, failed);
 }
 
-/* Marks the points in view. */
+/* Marks the points in view as inspected, and adds up their weights. */
 void look(void)
 {
     double in_sight[POINTS];
@@ -26,7 +26,7 @@ void begin(void)
     point_weights(priority, weights);
 }
 
-/* A step of the motion under what acts. */
+/* Flies one step under the acting control. */
 void fly(void)
 {
     double y[16];
@@ -34,13 +34,13 @@ void fly(void)
     memcpy(state, y, sizeof y);
 }
 
-/* Full control against the row that is nearest to be broken, into `desired`. */
+/* Writes full control against the rows that are closest to a violation into `desired`. */
 void attack(void)
 {
     adversary(seen, desired);
 }
 
-/* Where free flight leads, into `ahead`, a place every so many steps. */
+/* Writes the free flight into `ahead`, a point every `steps` steps. */
 void coast(int steps)
 {
     static const double nothing[6] = {0.0};

@@ -1,8 +1,8 @@
-// What stands around the flight: its picture, keys, buttons, limits, numbers; and the clock that drives it.
+// The page around the flight: its picture, keys, buttons, limits, numbers, and the clock that drives it.
 "use strict";
 
-const SPEEDS = [1, 2, 5, 10, 20, 50]; // seconds of the flight in a second
-const MOST = 60; // seconds of the flight in one picture
+const SPEEDS = [1, 2, 5, 10, 20, 50]; // seconds of flight per second
+const MOST = 60; // most seconds of flight per picture
 const KEYS = { // by key: thrust or torque, its axis, its sign
   w: ["thrust", 0, 1], s: ["thrust", 0, -1], a: ["thrust", 1, 1], d: ["thrust", 1, -1], r: ["thrust", 2, 1], f: ["thrust", 2, -1],
   q: ["torque", 0, -1], e: ["torque", 0, 1], arrowup: ["torque", 1, -1], arrowdown: ["torque", 1, 1],
@@ -26,7 +26,7 @@ function clock(seconds) {
   return `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
 }
 
-// the picture of the flight that is flown now
+// the picture of the current flight
 class Picture extends Scene {
   constructor(canvas, task) {
     super(canvas, { ...task, triangles: null, hull: null });
@@ -40,7 +40,7 @@ class Picture extends Scene {
     this.renew(flight);
   }
 
-  // what changes with each second
+  // updates that follow each second of flight
   renew(flight) {
     const { inspected, lit, state, wasm } = flight;
     this.colour(Array.from(inspected, (seen, i) => (seen ? "inspected" : lit[i] ? "lit" : "dark")));
@@ -53,7 +53,7 @@ class Picture extends Scene {
     this.fill(this.way, flight.way, flight.filtered ? wasm[`rest_${flight.filter}`]() : 0);
   }
 
-  // a share of the way from the state before to the one now
+  // `share`: of the way from the last state to the current one
   show(flight, share) {
     const { before: a, state: b, desired, control } = flight;
     const mixed = i => a[i] + share * (b[i] - a[i]);
@@ -81,7 +81,7 @@ function set_filter(on) {
   show();
 }
 
-// the filter that is told of errors has a period of its own
+// the filter with error bounds has its own period
 function set_errors(worst) {
   play.flight.erring = worst;
   $("period").disabled = worst;
@@ -123,7 +123,7 @@ function press(key, down) {
     const [kind, axis, sign] = KEYS[each];
     keys[kind][axis] += sign;
   }
-  if (down) $("pilot").value = play.flight.pilot = "you"; // whoever presses a key takes over
+  if (down) $("pilot").value = play.flight.pilot = "you"; // pressing a key takes over the control
   if (down) welcomed();
   return true;
 }
@@ -157,7 +157,7 @@ function listen() {
   addEventListener("keydown", on_key);
   addEventListener("keyup", on_key);
   addEventListener("blur", () => { for (const key of [...pressed]) press(key, false); });
-  // what a pointer has chosen does not keep the keys
+  // an element that was clicked must not keep the keyboard's focus
   addEventListener("pointerdown", () => { play.pointer = true; });
   addEventListener("change", event => { if (play.pointer) event.target.blur(); });
   addEventListener("click", event => { if (play.pointer && event.target.closest("button")) document.activeElement.blur(); });
@@ -189,7 +189,7 @@ function save(name, content) {
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
-// what is shown
+// display
 
 function bars() {
   play.bars = task.limits.map(limit => {

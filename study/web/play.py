@@ -1,7 +1,7 @@
-"""The page of `play`: one file, which flies the deputy in a browser and asks no network for anything.
+"""The page of `play`: one file, which flies the deputy in a browser and needs no network.
 
-What it says stands in `play.html.j2`; what it does in `flight.js` (the flight), `scene.js` (how it looks) and `play.js`
-(keys, buttons, limits).
+Its text is in `play.html.j2`, its code in `flight.js` (the flight), `scene.js` (the picture) and `play.js` (keys,
+buttons, limits).
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,11 +37,11 @@ from study.machine import step
 from study.web import module
 from study.web.template import drawn, embedded, packed, render
 
-HORIZON = 500  # s, of the line ahead
-CASES = 40  # of `evaluate` and `simulate`, the first
-SEEDS = range(8)  # of `simulate`, whose plants are flown in turns
+HORIZON = 500  # s, of the predicted path
+CASES = 40  # number of the first cases of `evaluate` and `simulate`
+SEEDS = range(8)  # seeds of `simulate`; their plants are flown in turns
 SETTINGS = ("inspection", "rta", "plant", "uncertainty")  # tables that a saved flight depends on
-MADE = {  # starts: towards the deputy, which is at rest there, and rad from there to the Sun, in the orbital plane
+MADE = {  # starts: direction of the deputy at rest, and the Sun's angle from it in the orbital plane, rad
     "ram": ((0.5, -0.75, 0.45), 0.6),
     "leaving": ((0.6, 0.75, 0.3), 0.6),
     "battery": ((-0.8, 0.5, 0.2), 1.9),
@@ -49,7 +49,7 @@ MADE = {  # starts: towards the deputy, which is at rest there, and rad from the
 
 
 def check(config: Config) -> None:
-    """Raises InputError where the page cannot fly a configuration, or the compiler is missing."""
+    """Raises InputError if the page cannot fly a configuration, or the compiler is missing."""
     c, plant, uncertainty = config.inspection, config.plant, config.uncertainty
     refused = {
         "[rta] filter: play flies the checked one only": config.rta.filter != "checked",
@@ -76,7 +76,7 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
     """Writes the page of a configuration, with an agent if there is one; returns its size in bytes.
 
     Raises:
-        InputError: the configuration does not fit, the compiler is missing, or the page cannot be written.
+        InputError: see `check` and `world`; or the page cannot be written.
     """
     check(config)
     config = replace(config, train=replace(config.train, rta=True))
@@ -98,7 +98,7 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
 def document(
     c: InspectionParameters, compiled: bytes, worlds: Sequence[dict[str, Any]], has_agent: bool
 ) -> str:
-    """Returns the whole page; `worlds`: that of the model and, if there is one, that whose errors are worst."""
+    """Returns the whole page; `worlds`: the model's and, if there is one, the one with worst errors."""
     return render(
         "web/play.html.j2",
         periods=PERIODS,
@@ -110,13 +110,13 @@ def document(
 
 
 def world(config: Config, filters: Sequence[SafetyFilter]) -> dict[str, Any]:
-    """Returns what the page is told of a world: starts that all of its filters accept, its settings, and plants.
+    """Returns the page's data of a world: starts that all of its filters accept, its settings, and plants.
 
     Starts have a name, a state [16] and a priority [3]; the cases of `simulate` are named by their number. Plants are
-    by the seed of `simulate`: body [7], thrust [9] and torque [3] as of `PlantSample`, and latency in calls.
+    in the order of the seeds of `simulate`: body [7], thrust [9] and torque [3] as in `PlantSample`, latency in calls.
 
     Raises:
-        InputError: there is no such case, or no start of another name.
+        InputError: the filters accept no case, or no start of a name in MADE.
     """
     c = config.inspection
     x, priority, _ = test_cases(config, CASES, TEST_CASES)
@@ -145,11 +145,11 @@ def world(config: Config, filters: Sequence[SafetyFilter]) -> dict[str, Any]:
 
 
 def at_rest(c: InspectionParameters, direction: Sequence[float], sunlit: float) -> Tensor:
-    """Returns a state (16, 1) 1 m from the chief in a direction, at rest, the camera on the chief."""
+    """Returns a state (16, 1) at rest 1 m from the chief in a direction, with the camera on the chief."""
     x = torch.zeros(SIZE, 1, dtype=torch.float64)
     x[P] = unit(x.new_tensor(direction)[:, None])
     a, b, d = (-x[P, 0]).tolist()
-    x[Q, 0] = unit(x.new_tensor([0.0, -d, b, 1.0 + a]))  # the shortest turn of +x to there, scalar last
+    x[Q, 0] = unit(x.new_tensor([0.0, -d, b, 1.0 + a]))  # the shortest turn of +x to the chief, scalar last
     x[T], x[E] = sum(c.initial_temperature) / 2, c.initial_energy[1]
     x[THETA_S] = torch.atan2(x[1], x[0]) + sunlit
     return x
@@ -158,15 +158,15 @@ def at_rest(c: InspectionParameters, direction: Sequence[float], sunlit: float) 
 def candidates(name: str, rest: Tensor, c: InspectionParameters) -> Iterator[Tensor]:
     """Yields states (16, 1) of a start, the hardest first, from a state at rest.
 
-    "ram": free flight at 1 m/s hits the chief's centre, the sooner the harder. "leaving": next to the end of the zone
-    and on the way out. "battery": in the dark, with little energy.
+    "ram": free flight at 1 m/s hits the chief's centre; sooner hits are harder. "leaving": next to the end of the zone,
+    moving out. "battery": in the dark, with little energy.
     """
     one, none = torch.eye(3, dtype=torch.float64), torch.zeros(3, 3, dtype=torch.float64)
     for k in range(1, 100):
         x = rest.clone()
         if name == "ram":
-            t = one.new_tensor(520.0 + 20.0 * k)  # s until it hits; the filter keeps 500 s clear
-            by_speed = free_flight(none, one, t, c.mean_motion)  # m by m/s: the flow is linear
+            t = one.new_tensor(520.0 + 20.0 * k)  # s until the hit; the filter keeps 500 s clear
+            by_speed = free_flight(none, one, t, c.mean_motion)  # m per m/s: free flight is linear
             x[V] = -torch.linalg.solve(by_speed, free_flight(x[P], none[:, :1], t, c.mean_motion))
             x[P], x[V] = x[P] / norm(x[V]), unit(x[V])
         elif name == "leaving":
@@ -178,7 +178,7 @@ def candidates(name: str, rest: Tensor, c: InspectionParameters) -> Iterator[Ten
 
 
 def settings(config: Config) -> str:
-    """Returns what of a configuration a saved flight depends on, where it differs from the defaults: TOML."""
+    """Returns as TOML the settings that a saved flight depends on and that differ from the defaults."""
     usual = Config()
     tables = {
         table: {
@@ -192,7 +192,7 @@ def settings(config: Config) -> str:
 
 
 def task(c: InspectionParameters) -> dict[str, Any]:
-    """Returns what the page is told of the task."""
+    """Returns the page's data of the task."""
     return {
         "periods": list(PERIODS),
         "limit": list(c.control_limit),
@@ -211,7 +211,7 @@ def task(c: InspectionParameters) -> dict[str, Any]:
 
 
 def limits(c: InspectionParameters) -> list[dict[str, Any]]:
-    """Returns the limits: name, title for a newcomer, what a violation is, h from which the bar is empty, and unit."""
+    """Returns the limits: name, a simple title, a phrase for a violation, h from which the bar is empty, and unit."""
     directions = ("away from the Earth", "along the orbit", "across the orbit")
     turns = (("Roll", "Rolls"), ("Pitch", "Pitches"), ("Yaw", "Yaws"))
     rows: list[tuple[str, str, str, float, str]] = [

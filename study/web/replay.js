@@ -3,9 +3,9 @@
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const { runs } = data;
-const FOOT = 0.04; // of a plot's height, where interventions are marked
-const ACROSS = 1000, DOWN = 100; // of a plot, in its own units
-const SVG = "http://www.w3.org/2000/svg"; // a name, which nothing is asked for
+const FOOT = 0.04; // share of a plot's height in which interventions are marked
+const ACROSS = 1000, DOWN = 100; // size of a plot, in its own units
+const SVG = "http://www.w3.org/2000/svg"; // a name only; nothing is loaded from there
 
 const byId = (name) => document.getElementById(name);
 const end = Math.max(...runs.map((run) => run.end)); // s
@@ -19,14 +19,14 @@ function element(tag, className, parent, text = "") {
   return made;
 }
 
-// With so many decimals, and no sign before zero.
+// Writes a number with so many decimals, and no sign before zero.
 const shortened = (value, decimals) => value.toFixed(decimals).replace(/^-(?=[0.]*$)/, "");
 const decimals_of = (range) => Math.min(6, Math.max(0, 2 - Math.floor(Math.log10(range))));
 
-// The last row that is not after t.
+// Returns the last row that is not after t.
 const rowAt = (run, t) => Math.max(0, run.time.findLastIndex((each) => each <= t));
 
-// A share of the way from one list of numbers to another.
+// Returns the numbers a share of the way from one list to another.
 const mixed = (a, b, share) => a.map((each, i) => each + share * (b[i] - each));
 const turned = (a, b, share) => new THREE.Quaternion(...a).slerp(new THREE.Quaternion(...b), share).toArray();
 
@@ -43,7 +43,7 @@ class Film extends Scene {
     this.ahead = this.line(COLOURS.ahead, 0.6, run.ahead[0].length);
   }
 
-  // inspected, lit or dark: of each point in a row
+  // returns inspected, lit or dark for each point in a row
   kinds(row) {
     const { run } = this, angle = run.sun_angle[row], time = run.time[row];
     const sun = new THREE.Vector3(Math.cos(angle), Math.sin(angle), 0);
@@ -55,7 +55,7 @@ class Film extends Scene {
     });
   }
 
-  // the row's numbers, and between two rows evenly from one to the other
+  // shows the numbers at time t, interpolated linearly between two rows
   show(t) {
     const { run } = this, last = run.time.length - 1;
     const row = rowAt(run, t), next = Math.min(row + 1, last);
@@ -77,11 +77,11 @@ class Film extends Scene {
       ...(run.chief && { chief: turned(run.chief[row], run.chief[next], share) }),
       desired: run.desired[row],
       control: run.control[row],
-      from: Math.max(...runs.map((each) => Math.hypot(...each.position[rowAt(each, t)]))), // of all, one scale
+      from: Math.max(...runs.map((each) => Math.hypot(...each.position[rowAt(each, t)]))), // one scale for all runs
     });
   }
 
-  // where free flight leads from p, between two of the flights that are known
+  // draws the free flight from p, interpolated between two known ones
   coast(p, place) {
     const { ahead } = this.run, at = Math.min(Math.floor(place), ahead.length - 1);
     const later = ahead[Math.min(at + 1, ahead.length - 1)];
@@ -90,7 +90,7 @@ class Film extends Scene {
   }
 }
 
-const looks = first_looks(); // of all scenes
+const looks = first_looks(); // shared by all scenes
 const films = [];
 
 function drawScene(run, i) {
@@ -135,7 +135,7 @@ function drawScene(run, i) {
 
 // ---- the plots ----
 
-// Round numbers within a range, about so many.
+// Returns round numbers within a range, about `count`.
 function ticks(low, high, count) {
   const least = (high - low) / count, power = 10 ** Math.floor(Math.log10(least));
   const step = power * [1, 2, 5, 10].find((times) => times * power >= least);
@@ -242,13 +242,13 @@ function play(wanted) {
   if (!playing) return;
   if (time >= end) show(0);
   lastFrame = performance.now();
-  cancelAnimationFrame(nextFrame); // of a play that was paused within the same frame
+  cancelAnimationFrame(nextFrame); // left by a play that was paused within the same frame
   nextFrame = requestAnimationFrame(frame);
 }
 
 function frame(now) {
   if (!playing) return;
-  const elapsed = Math.min(now - lastFrame, 250) / 1000; // a tab that was hidden does not jump
+  const elapsed = Math.min(now - lastFrame, 250) / 1000; // so that a tab that was hidden does not jump
   lastFrame = now;
   show(time + elapsed * Number(byId("speed").value));
   if (time >= end) play(false);

@@ -1,6 +1,6 @@
 """The replay of one or two runs of `simulate`: a self-contained page with scenes and plots on a common clock.
 
-What it says stands in `replay.html.j2`, what it does in `replay.js`; `scene.js` draws, as in `play`.
+Its text is in `replay.html.j2`, its code in `replay.js`; `scene.js` draws, as in `play`.
 """
 
 import math
@@ -28,16 +28,16 @@ from study.flight.figures import Episode, effort, speeds
 from study.web.template import drawn, embedded, render
 
 MAX_ROWS = 5000  # of a run in the page
-MAX_AHEAD = 400  # rows of a run from which the page knows where free flight leads
-AHEAD = 25  # places of such a flight
-LARGEST = 1e12  # of any number, whose square is finite in single precision, too
-DIGITS, PLACE_DIGITS, TIME_DIGITS = 4, 6, 8  # significant ones of the page's numbers
-FLIGHT = "Flight"  # the section whose numbers stand beside the scene, too
-HULL = "clearance"  # the array in m that is there where the chief's hull is what to stay clear of
-RISE = 0.01  # of the chief's radius, by which a mesh's points are drawn above it
-WITHIN = 0.97  # of the way to the points, the corners of the body that is drawn where there are points alone
+MAX_AHEAD = 400  # rows of a run for which the page has the free flight
+AHEAD = 25  # points of a free flight
+LARGEST = 1e12  # of any number; its square is finite in single precision
+DIGITS, PLACE_DIGITS, TIME_DIGITS = 4, 6, 8  # significant digits of the page's numbers
+FLIGHT = "Flight"  # the section whose numbers are also shown beside the scene
+HULL = "clearance"  # the array in m that exists if the chief's hull is the keep-out zone
+RISE = 0.01  # height of drawn points above the mesh, in chief radii
+WITHIN = 0.97  # without a mesh, corners of the drawn body, as a share of the way to the points
 
-# shape of a row of every array over time that is needed
+# shape of a row of every required array over time
 ROWS: dict[str, tuple[int, ...]] = {
     **dict.fromkeys(("time", "temperature", "energy", "sun_angle", "inspected_score"), ()),
     **{
@@ -49,7 +49,7 @@ ROWS: dict[str, tuple[int, ...]] = {
     },
     **{f"h_{name}": () for name in CONSTRAINTS},
 }
-# what a chief has that is not the paper's
+# arrays of a chief that is not the paper's
 CHIEF = ("chief_attitude", "chief_points", "chief_normals", "chief_triangles")
 
 # panels of the constraints: title, unit, factor from the file's unit, constraints, the control that acts on them
@@ -69,9 +69,9 @@ CONSTRAINT_PANELS = (
 
 @dataclass(frozen=True)
 class Replayed:
-    """A file of `simulate`: its name as it is shown, its arrays over time and the task's parameters.
+    """Holds a file of `simulate`: its displayed name, its arrays over time and the task's parameters.
 
-    At most `rows` of them are shown.
+    The page shows at most `rows` of its rows.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Replayed:
 
     @property
     def stride(self) -> int:
-        """Rows of the file to a row of the page."""
+        """Returns the number of the file's rows per row of the page."""
         return -(-len(self.episode["time"]) // self.rows)
 
 
@@ -89,7 +89,7 @@ def write(paths: Sequence[str], out: Path, rows: int = MAX_ROWS, report: str | N
     """Writes the page of one run or of several side by side; returns its size in bytes.
 
     Args:
-        rows: of each run that are shown at most; report: the address of a study's report, to link to.
+        rows: most rows that are shown of each run; report: the address of a study's report, to link to.
 
     Raises:
         InputError: a file is not one of `simulate` or lacks something, or the page cannot be written.
@@ -116,7 +116,7 @@ def read(path: str, rows: int = MAX_ROWS) -> Replayed:
     """Reads and checks a file of `simulate`, or an episode of a study's report in single precision.
 
     Raises:
-        InputError: it is none.
+        InputError: the file is neither.
     """
     older = ": not a file that simulate wrote, or one of an older version"
     names = (*ROWS, "inspected", "intervened", "parameters")
@@ -134,7 +134,7 @@ def read(path: str, rows: int = MAX_ROWS) -> Replayed:
         array = episode.get(name, np.array(None))
         if array.shape != shape or array.dtype.kind != ("f" if name in shapes else "b"):
             raise InputError(f"{path}: {name} is {array.dtype} {array.shape}, wanted is {shape}{older}")
-        if not (np.abs(array) <= LARGEST).all():  # nor is a NaN
+        if not (np.abs(array) <= LARGEST).all():  # also raised for NaN
             raise InputError(f"{path}: {name} must hold finite numbers only, up to {LARGEST:g}")
     if length < 2 or not (np.diff(episode["time"]) > 0.0).all():
         raise InputError(f"{path}: time must rise over at least two rows")
@@ -145,7 +145,7 @@ def read(path: str, rows: int = MAX_ROWS) -> Replayed:
 def content(runs: Sequence[Replayed]) -> dict[str, Any]:
     """Returns everything that `replay.js` shows."""
     episodes = [thinned(run) for run in runs]
-    if any(HULL in episode for episode in episodes):  # all have the same panels
+    if any(HULL in episode for episode in episodes):  # all runs must have the same panels
         for run, episode in zip(runs, episodes, strict=True):
             of_sphere = np.linalg.norm(episode["position"], axis=1) - run.c.collision_radius
             episode.setdefault(HULL, of_sphere)
@@ -166,7 +166,7 @@ def content(runs: Sequence[Replayed]) -> dict[str, Any]:
 
 
 def thinned(run: Replayed) -> Episode:
-    """Returns at most `run.rows` rows: each the first of its block, but with the block's smallest h."""
+    """Returns at most `run.rows` rows: each is the first row of its block, but has the block's smallest h."""
     starts = np.arange(0, len(run.episode["time"]), run.stride)
     thin: Episode = {}
     for name in (*ROWS, "chief_attitude", HULL):
@@ -178,9 +178,9 @@ def thinned(run: Replayed) -> Episode:
 
 
 def run_data(run: Replayed, episode: Episode) -> dict[str, Any]:
-    """Returns what the page knows of a run, thinned to `episode`, beside its panels.
+    """Returns the page's data of a run, thinned to `episode`, besides its panels.
 
-    Arrays are (rows, ...), times in s, places in m.
+    Arrays are (rows, ...), times in s, positions in m.
     """
     return {
         "name": run.name,
@@ -202,9 +202,9 @@ def run_data(run: Replayed, episode: Episode) -> dict[str, Any]:
 
 
 def chief(run: Replayed, episode: Episode) -> dict[str, Any]:
-    """Returns the chief's points and normals (N, 3), corners of faces and of its hull (3 F, 3), and its attitudes.
+    """Returns the chief's points and normals (N, 3), corners of its faces and of its hull (3 F, 3), and its attitudes.
 
-    What it does not have, or what is not to be drawn, is None.
+    Entries that the chief does not have, or that are not drawn, are None.
     """
     if "chief_points" not in run.episode:
         normals = fibonacci_sphere(run.c.num_points).numpy().T
@@ -214,7 +214,7 @@ def chief(run: Replayed, episode: Episode) -> dict[str, Any]:
     triangles = run.episode["chief_triangles"].reshape(-1, 3)
     corners = triangles if len(triangles) else points
     return {
-        # drawn a little above the faces, which would hide some of them
+        # a little above the faces, which would hide some of the points
         "points": points + RISE * run.c.chief_radius * normals,
         "normals": normals,
         "triangles": triangles if len(triangles) else WITHIN * hull(points),
@@ -225,14 +225,14 @@ def chief(run: Replayed, episode: Episode) -> dict[str, Any]:
 
 
 def hull(corners: np.ndarray) -> np.ndarray:
-    """Returns corners (3 F, 3) of the faces of the convex hull of corners (k, 3), or none where all are in a plane."""
+    """Returns corners (3 F, 3) of the faces of the convex hull of corners (k, 3), or none if all are in a plane."""
     if len(corners) < 4 or np.linalg.matrix_rank(corners - corners[0], tol=1e-9) < 3:
         return np.zeros((0, 3))
     return corners[ConvexHull(corners).simplices].reshape(-1, 3)
 
 
 def ahead(episode: Episode, c: InspectionParameters) -> np.ndarray:
-    """Returns where free flight leads within the horizon of passive safety: from some rows, (rows, AHEAD, 3) in m."""
+    """Returns the free flight from some rows within the horizon of passive safety, (rows, AHEAD, 3) in m."""
     rows = np.arange(0, len(episode["time"]), -(-len(episode["time"]) // MAX_AHEAD))
     p, v = (torch.as_tensor(episode[name][rows], dtype=torch.float64).T for name in ("position", "velocity"))
     times = torch.linspace(0.0, c.passive_safety_horizon, AHEAD, dtype=torch.float64)
@@ -240,7 +240,7 @@ def ahead(episode: Episode, c: InspectionParameters) -> np.ndarray:
 
 
 def shaded(run: Replayed, episode: Episode) -> list[list[int]]:
-    """Returns for each row the points that the mesh keeps in the dark."""
+    """Returns for each row the points that are in the mesh's shadow."""
     points, normals, triangles = (
         torch.as_tensor(run.episode[f"chief_{name}"]) for name in ("points", "normals", "triangles")
     )
@@ -253,20 +253,20 @@ def shaded(run: Replayed, episode: Episode) -> list[list[int]]:
 
 def interventions(episode: Episode, program: int) -> list[list[float]]:
     """Returns the intervals [start, end] in s in which the filter's program, 0 for thrust, 1 for torque, corrected."""
-    intervened = episode["intervened"][:-1, program]  # a row reports until the next
+    intervened = episode["intervened"][:-1, program]  # a row covers the time until the next
     edges = np.flatnonzero(np.diff(intervened, prepend=False, append=False))
     return rounded(episode["time"][edges].reshape(-1, 2), TIME_DIGITS)
 
 
 def inspection_times(episode: Episode) -> list[float | None]:
-    """Returns when each point was inspected in s, None if it never was."""
+    """Returns the time in s when each point was inspected, None if it never was."""
     inspected = episode["inspected"]
     first = rounded(episode["time"][inspected.argmax(0)], TIME_DIGITS)
     return [t if ever else None for t, ever in zip(first, inspected.max(0).tolist(), strict=True)]
 
 
 def rounded(values: np.ndarray, digits: int = DIGITS) -> Any:
-    """Returns nested lists of numbers with so many significant digits, which keeps the page small."""
+    """Returns nested lists of numbers with `digits` significant digits, which keeps the page small."""
     if values.ndim > 1:
         return [rounded(row, digits) for row in values]
     return [float(f"{value:.{digits}g}") for value in values.tolist()]
@@ -278,7 +278,7 @@ def rounded(values: np.ndarray, digits: int = DIGITS) -> Any:
 def line(
     values: np.ndarray, name: str = "", colour: str = "first", width: float = 1.4, held: bool = False
 ) -> dict[str, Any]:
-    """Returns a quantity, held until the next row or changing evenly until then; colours are of `replay.css`."""
+    """Returns a line of a plot, held or interpolated until the next row; colours are names in `replay.css`."""
     return {"name": name, "colour": colour, "width": width, "held": held, "values": values}
 
 
@@ -292,14 +292,14 @@ def panel(
     """Returns a plot over time.
 
     Args:
-        acts: the control that changes it, thrust or torque, whose interventions are marked in it.
-        safe: lowest and highest safe value, None where there is no limit.
+        acts: the control that changes the quantity, thrust or torque; its interventions are marked in the plot.
+        safe: lowest and highest safe value, None for no limit.
     """
     return {"title": title, "unit": unit, "lines": lines, "acts": acts, "safe": safe}
 
 
 def panels(episode: Episode, c: InspectionParameters) -> dict[str, list[dict[str, Any]]]:
-    """Returns everything that is drawn over time, by section."""
+    """Returns all plots over time, by section."""
     has_hull = HULL in episode
     distance = line(np.linalg.norm(episode["position"], axis=1))
     clearance = [panel("Clearance", "m", "thrust", line(episode[HULL]), safe=(0.0, None))] if has_hull else []
@@ -307,7 +307,7 @@ def panels(episode: Episode, c: InspectionParameters) -> dict[str, list[dict[str
     control = []
     for acts, first, factor, unit in (("thrust", 0, 1.0, "N"), ("torque", 3, 1e3, "mN m")):
         for i, axis in enumerate("xyz", start=first):
-            # the applied control lies on top, and hides the desired one where they are equal
+            # the applied control is drawn last, and hides the desired one where both are equal
             wanted, given = (factor * episode[f"control_{kind}"][:, i] for kind in ("desired", "applied"))
             lines = (
                 line(wanted, "desired", "wanted", 2.5, held=True),
@@ -342,7 +342,7 @@ def panels(episode: Episode, c: InspectionParameters) -> dict[str, list[dict[str
 
 
 def common_range(same: Sequence[dict[str, Any]]) -> np.ndarray:
-    """Returns ends of the vertical axis of the same panel in every run: all values, all limits, and some room."""
+    """Returns the ends of the vertical axis of one panel in all runs: all values, all limits, and some room."""
     values = [one["values"] for each in same for one in each["lines"]]
     limits = [limit for each in same for limit in each["safe"] if limit is not None]
     shown = np.concatenate((*values, limits))

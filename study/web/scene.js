@@ -1,5 +1,5 @@
-// The picture of a flight: Hill's frame, x away from the Earth, y along the orbit, z up. Where the flight comes from, live or
-// from a file, is no matter here: a page gives the points' kinds, the lines' places, and who is where.
+// The picture of a flight: Hill's frame, x away from the Earth, y along the orbit, z up. The flight may be live or from
+// a file: a page gives the points' kinds, the lines' points, and the spacecraft's position and attitude.
 "use strict";
 
 const COLOURS = { // Okabe and Ito's
@@ -8,22 +8,22 @@ const COLOURS = { // Okabe and Ito's
 };
 const VIEWS = ["follow", "orbit", "onboard"];
 const STAR_DISTANCE = 15000, SUN_DISTANCE = 12000, EARTH_DISTANCE = 11000; // not to scale
-const LIGHT = 1000; // m, of the Sun's light from the chief
-const BODY = 0x9aa0aa; // of the chief
-const DEPUTY = 2.4; // m, of its box where its radius, with the panels, is DRAWN
+const LIGHT = 1000; // m, distance of the Sun's light from the chief
+const BODY = 0x9aa0aa; // colour of the chief
+const DEPUTY = 2.4; // m, size of its box if its radius with panels is DRAWN
 const DRAWN = 5; // m
-const MANY = 100; // points, of which more are drawn smaller
-const AROUND = 1.15; // of the distance from which a spacecraft on any side of the chief is still in the picture
+const MANY = 100; // more points than this are drawn smaller
+const AROUND = 1.15; // in units of the least distance that shows a spacecraft on any side of the chief
 
-// how a view is turned, and from how far: 0, the page's own
+// how a view is turned, and its distance in m; 0: the page's own distance
 const first_looks = () => ({ follow: { yaw: 0.3, pitch: 0.25, distance: 38 }, orbit: { yaw: -0.9, pitch: 0.4, distance: 0 } });
 
 class Scene {
-  // task: what scene.py says of it, and of the chief, in its own frame, `points`, each [x, y, z] in m; `triangles` and `hull`, null
-  // or corners of faces, one after the other; looks: of other scenes that are to be turned with this one
+  // task: the data of `drawn` in template.py, and in the chief's frame its `points`, each [x, y, z] in m, and `triangles`
+  // and `hull`, null or corners of faces, one after another; looks: those of other scenes that turn with this one
   constructor(canvas, task, looks = first_looks()) {
     this.task = task;
-    this.turned = () => {}; // what a page does when its view is turned
+    this.turned = () => {}; // a page can replace it to react to a turned view
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, logarithmicDepthBuffer: true });
     this.renderer.outputEncoding = THREE.sRGBEncoding;
     this.scene = new THREE.Scene();
@@ -91,7 +91,7 @@ class Scene {
     this.scene.add(this.whole_chief, this.keepOut, this.zone);
   }
 
-  // lets parts of a chief that is no sphere throw a shadow on others
+  // lets parts of a chief that is not a sphere cast shadows on others
   shade(triangles) {
     const reach = Math.max(...triangles.map(corner => Math.hypot(...corner)));
     this.renderer.shadowMap.enabled = true;
@@ -146,7 +146,7 @@ class Scene {
     const group = new THREE.Group();
     const shaft = this.see_through(new THREE.CylinderGeometry(radius, radius, 1, 16), colour, opacity);
     const tip = this.see_through(new THREE.ConeGeometry(2.6 * radius, 4.5 * radius, 20), colour, opacity);
-    shaft.renderOrder = tip.renderOrder = 1 + opacity; // the thin one shows through the other
+    shaft.renderOrder = tip.renderOrder = 1 + opacity; // so that the thin arrow shows through the other
     group.add(shaft, tip);
     group.userData = { shaft, tip };
     return group;
@@ -182,8 +182,8 @@ class Scene {
     line.geometry.setDrawRange(0, count);
   }
 
-  // what is flown now: position p in m, attitudes q and chief from the bodies' axes to Hill's, scalar last, the Sun's angle in rad,
-  // thrust desired and applied in N; from: m, what a view around the chief has to hold
+  // draws the flight now: position p in m, attitudes q and chief from body axes to Hill's, scalar last, the Sun's angle
+  // in rad, thrust desired and applied in N; from: m, distance from the chief that a view around it must show
   draw({ p: place, q: attitude, sun: angle, chief = [0, 0, 0, 1], desired, control, from = Math.hypot(...place) }) {
     const p = new THREE.Vector3(...place), q = new THREE.Quaternion(...attitude), distance = p.length();
     const sun = new THREE.Vector3(Math.cos(angle), Math.sin(angle), 0);
@@ -232,7 +232,7 @@ class Scene {
       const right = up.clone().cross(back);
       if (right.lengthSq() < 1e-4) right.set(0, 1, 0);
       right.normalize();
-      const half = Math.atan(Math.tan(camera.fov * Math.PI / 360) * Math.min(1, camera.aspect)); // rad, of the picture's shorter side
+      const half = Math.atan(Math.tan(camera.fov * Math.PI / 360) * Math.min(1, camera.aspect)); // rad, half angle of the shorter side
       const over = back.clone().cross(right), r = distance || AROUND * from / Math.sin(half);
       const eye = back.multiplyScalar(Math.cos(yaw) * Math.cos(pitch)).addScaledVector(right, Math.sin(yaw) * Math.cos(pitch));
       eye.addScaledVector(over, Math.sin(pitch));
@@ -250,7 +250,7 @@ class Scene {
     this.camera.aspect = width / height;
   }
 
-  // turns the view, by rad
+  // turns the view, angles in rad
   turn(yaw, pitch) {
     const look = this.looks[this.view];
     if (!look) return;
@@ -259,7 +259,7 @@ class Scene {
     this.turned();
   }
 
-  // farther by a factor, or nearer
+  // changes the distance by a factor
   zoom(factor) {
     const look = this.looks[this.view];
     if (look) look.distance = Math.max(8, Math.min(4000, (look.distance || this.camera.position.length()) * factor));
@@ -268,7 +268,7 @@ class Scene {
 
   // turns and zooms the view with mouse or fingers
   drag(canvas) {
-    const held = new Map(); // by pointer, where it is
+    const held = new Map(); // the position of each pointer
     const apart = () => {
       const [a, b] = [...held.values()];
       return Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY);
@@ -292,7 +292,7 @@ class Scene {
   }
 }
 
-// the shape of faces by their corners, one after the other
+// returns the shape of faces from their corners, one after another
 function of_triangles(corners) {
   const shape = new THREE.BufferGeometry();
   shape.setAttribute("position", new THREE.Float32BufferAttribute(corners.flat(), 3));
@@ -300,12 +300,12 @@ function of_triangles(corners) {
   return shape;
 }
 
-// a colour as the renderer computes with it
+// returns a colour as the renderer computes with it
 function linear(hex) {
   return new THREE.Color(hex).convertSRGBToLinear();
 }
 
-// from 0 at `far` and beyond to 1 at `close` and nearer
+// returns 0 at `far` and beyond, 1 at `close` and nearer, and a share between
 function near(value, far, close) {
   return Math.max(0, Math.min(1, (far - value) / (far - close)));
 }

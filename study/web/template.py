@@ -1,4 +1,4 @@
-"""A page from its template below `study`: what all pages share, and what those share that draw a flight."""
+"""Pages from templates below `study`: the parts that all pages share, and the data that all scenes share."""
 
 import base64
 import gzip
@@ -13,7 +13,7 @@ from markupsafe import Markup
 from inspection.model.parameters import InspectionParameters
 
 STUDY = Path(__file__).parent.parent  # the package, below which all templates are
-# The Content-Security-Policy of every page: no script of it, whatever it asks for, gets a request out to any network.
+# The Content-Security-Policy of every page: its scripts cannot send any request to a network.
 CLOSED = (
     "default-src 'none'; script-src 'unsafe-inline'{}; style-src 'unsafe-inline'; img-src data:; "
     "base-uri 'none'; form-action 'none'"
@@ -21,13 +21,13 @@ CLOSED = (
 
 
 def render(template: str, filters: Mapping[str, Callable[..., str]] | None = None, **values: Any) -> str:
-    """Returns the page of a template below `study`, in which every value that it is given is escaped.
+    """Returns the page of a template below `study`; all given values are escaped.
 
     Args:
-        filters: functions that the template calls by these names.
+        filters: functions that the template can call by these names.
 
     Raises:
-        UndefinedError: the template uses a value that is not given.
+        UndefinedError: the template uses a missing value.
     """
     environment = Environment(
         loader=FileSystemLoader(STUDY),
@@ -46,17 +46,17 @@ def render(template: str, filters: Mapping[str, Callable[..., str]] | None = Non
 
 
 def packed(content: bytes) -> str:
-    """Returns what `unpacked` of `flight.js` unpacks."""
+    """Returns content as compressed text, which `unpacked` of `flight.js` unpacks."""
     return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode("ascii")
 
 
 def embedded(data: Any, default: Callable[[Any], Any] | None = None) -> Markup:
-    """Returns data as JSON within a page, whose names may hold any tag; `default` is as of `json.dumps`."""
+    """Returns data as JSON that is safe inside a page, whatever tags its texts hold; `default` as in `json.dumps`."""
     return Markup(json.dumps(data, separators=(",", ":"), default=default).replace("<", "\\u003c"))
 
 
 def drawn(c: InspectionParameters) -> dict[str, Any]:
-    """Returns what `scene.js` is told of the spacecraft and the limits around them: m, rad and N."""
+    """Returns the data of `scene.js` about the spacecraft and the limits around them, in m, rad and N."""
     names = (
         "chief_radius",
         "deputy_radius",

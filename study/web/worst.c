@@ -1,18 +1,18 @@
-/* A world whose errors are at their worst, call by call: what inspection.world.plant.Plant keeps from call to call, and
- * the decisions of the adversary Greedy of study.verification.adversaries. A corner has 12 errors of the sensors and 6
- * gains, 1 at their upper end, and whether the call is missed.
+/* A plant with worst errors, call by call: the data of inspection.world.plant.Plant between calls, and decisions of
+ * the adversary Greedy of study.verification.adversaries. A corner has 12 sensor errors and 6 gains, each 1 at its
+ * upper end, and whether the call is missed.
  */
 
-enum { BODY = 0, THRUST = 7, TORQUE = 16, LATENCY = 19, GAINS = 12, MISSED = 18 }; /* of `plant`, and of `corner` */
+enum { BODY = 0, THRUST = 7, TORQUE = 16, LATENCY = 19, GAINS = 12, MISSED = 18 }; /* indices of `plant`, `corner` */
 
-static double history[PAST + 1][16]; /* what was measured, by call */
-static double past[PAST + 1][6];     /* what was held, by call */
-static double held[6];               /* what the last call gave */
+static double history[PAST + 1][16]; /* measured states, by call */
+static double past[PAST + 1][6];     /* held controls, by call */
+static double held[6];               /* control of the last call */
 static int calls;
-static int missed; /* calls in a row */
+static int missed; /* missed calls in a row */
 
-/* The smallest margins a call later, added up, where the sensors are off by `error` along each axis, and their slope along
- * one of the 12 errors or, from GAINS on, of the 6 controls.
+/* Returns the sum of the smallest margins a call later if the sensors are off by `error` along each axis; writes its
+ * slope along one of the 12 errors or, from GAINS on, of the 6 controls.
  */
 static double margin_after(const double u[6], double error, int which, double slope[1])
 {
@@ -34,7 +34,7 @@ void worst_begin(void)
     memset(held, 0, sizeof held);
 }
 
-/* What is seen at a call, with errors at which that looks safest, and the controls that have been held since. */
+/* Measures the state with the errors that make it look safest, and writes the controls that have been held since. */
 void worst_sense(void)
 {
     sent_count = ((int)plant[LATENCY] < calls) ? (int)plant[LATENCY] : calls;
@@ -50,7 +50,7 @@ void worst_sense(void)
     }
 }
 
-/* From what a call wants to what is held, the last control where missing the call does more harm, and to what acts. */
+/* Holds the call's control, or the last one if missing the call does more harm, and writes the acting control. */
 void worst_hold(void)
 {
     const int can_miss = (calls > 0) && (missed < MISSED_MOST);

@@ -111,7 +111,7 @@ def test_a_controller_is_flown_without_the_filter_and_with_it() -> None:
 
 @pytest.fixture
 def studies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    """Two studies of an arm of their own, each evaluated once."""
+    """Returns two studies of an arm of their own, each evaluated once."""
     arms = {"one": few(2, seeds=1), "two": few(2, seeds=2)}
     monkeypatch.setattr(field, "agents_of", lambda study, device: {study.name: arms[study.name]})
     monkeypatch.setattr(field, "CLASSICAL", ("even",))

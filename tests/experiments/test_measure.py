@@ -22,7 +22,7 @@ C = InspectionParameters()
 
 
 class Halving:
-    """A filter that applies half of the thrust; every second call is moved by its check, every third not verified."""
+    """Applies half of the thrust; its check moves every second call, and every third one is not verified."""
 
     c = C
 

@@ -63,7 +63,7 @@ SETTINGS = {
 
 
 class Watched:
-    """A controller, a filter and a plant whose answers tell when and of what they were asked, and that keep it."""
+    """Acts as controller, filter and plant; its answers tell when and for what they were asked; it keeps the calls."""
 
     def __init__(self) -> None:
         self.decisions: list[tuple[float, Tensor]] = []
@@ -83,7 +83,7 @@ class Watched:
 
 
 def by_event_times(x: Tensor, clocks: Clocks, duration: float) -> list[dict[str, Any]]:
-    """What should happen: a plain loop over the union of all event times, in tenths of a second."""
+    """Returns the expected events from a plain loop over the union of all event times, in tenths of a second."""
     watched, end = Watched(), round(10 * duration)
     decide, report = (range(0, end, round(10 * every)) for every in (clocks.decision, clocks.report))
     call = range(0, end, round(10 * clocks.filter)) if clocks.filter else range(0)
@@ -147,7 +147,7 @@ def test_between_decisions_the_filter_is_given_its_last_control(clocks: tuple) -
 
 
 def tumbling() -> Tensor:
-    """A state (16, 1) whose panels and node stay lit for a minute."""
+    """Returns a state (16, 1) whose panels and node stay lit for a minute."""
     x = still("n_y along +x", theta_s=0.75 * math.pi)
     x[V, 0] = torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64)
     x[OMEGA, 0] = torch.tensor([0.002, -0.0015, 0.002], dtype=torch.float64)
@@ -170,7 +170,7 @@ def environment(substep: float, period: float | None, report: float | None) -> I
 
 
 def reference(env: InspectionEnv, every: float) -> Iterator[ndarray]:
-    """The states (16,) of 20 s, ACTION every 10 s and halved at each call of the filter, by DOP853."""
+    """Yields the states (16,) of 20 s, ACTION every 10 s and halved at each call of the filter, by DOP853."""
     x, control, every_call = tumbling()[:, 0], env.control(ACTION)[:, 0], env.clocks.filter
     for i in range(round(20.0 / every)):
         calls = i * every % 10.0 // every_call + 1 if every_call else 0

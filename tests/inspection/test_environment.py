@@ -30,7 +30,7 @@ def make(c, num_envs=1, seeds=(0,), safety=None):
 
 
 def idle(batch):
-    """States at rest 60 m ahead of the chief, an equilibrium; n_x looks away and the panels are lit."""
+    """Returns states at rest 60 m ahead of the chief, an equilibrium; n_x looks away and the panels are lit."""
     x = torch.zeros(16, batch, dtype=torch.float64)
     x[1], x[9], x[T], x[E], x[THETA_S] = 60.0, 1.0, 5.0, 6.0, math.pi
     priority = torch.zeros(3, batch, dtype=torch.float64)
@@ -65,7 +65,7 @@ def coast(env, steps=1):
 
 
 def play(env, actions):
-    """What steps with the actions (steps, B, 6) return, by name and with the batch last, one dict per step."""
+    """Returns the results of steps with actions (steps, B, 6), by name and with the batch last, one dict per step."""
     names, history = ("state", "reward", "done", "outcome", "metrics"), []
     for action in actions:
         step = env.step(action)
@@ -204,7 +204,7 @@ def test_terms_of_our_own_are_the_learners_alone(c):
     assert tuple(shaped.reward_terms) == (*REWARDS, "fuel", "duration", "rate", "correction", "drift")
     rates = (shaped.state[10:13] / c.max_rate).square().sum(0)
     assert rates[0] > 1.0
-    corrected = torch.tensor([1.0, 0.5], dtype=torch.float64)  # of two calls, which want 0.2 N and 0.45 N
+    corrected = torch.tensor([1.0, 0.5], dtype=torch.float64)  # two calls that desire 0.2 N and 0.45 N
     torch.testing.assert_close(shaped.reward_terms["rate"], -0.5 * rates)
     torch.testing.assert_close(shaped.reward_terms["correction"], -0.1 * corrected)
     near = 1.0 - distance_from_track(shaped.state, c) / 30.0
@@ -257,7 +257,7 @@ def test_a_flight_looks_at_the_end_of_every_action_period_and_leaves_the_episode
         flown.append(hold)
     assert all(at is hold.after for at, hold in zip(looked, flown[9::10], strict=True))
     assert env.x is x and env.time == 0.0
-    again = list(env.fly(lambda t, x: nothing, 30.0, env.x))  # what might be
+    again = list(env.fly(lambda t, x: nothing, 30.0, env.x))  # a prediction, which must change nothing
     assert torch.equal(again[-1].after, hold.after) and len(looked) == 3
     (later,) = list(env.fly(lambda t, x: nothing, 1.0, hold.state))
     assert torch.equal(later.after, hold.after)

@@ -17,7 +17,7 @@ LATE = PlantParameters(latency=(0, 3), missed_calls=0.4, missed_in_a_row=2)
 
 
 class Informed:
-    """A filter that counts its calls, asks for their number, and keeps what it is told."""
+    """Acts as a filter that counts its calls, asks for their number, and keeps its inputs."""
 
     def __init__(self) -> None:
         self.told: list[dict[str, Tensor]] = []
@@ -28,7 +28,7 @@ class Informed:
 
 
 def fly(plant, calls: int = CALLS, period: float = 1.0, takes_plant_data: bool = True, start: float = 0.0):
-    """The filter, and what was held from each call on, (calls, 6, BATCH)."""
+    """Returns the filter, and the held controls from each call on, (calls, 6, BATCH)."""
     plant.every, correct = period, Informed()
     batch = plant.mass.numel()
     x = torch.zeros(SIZE, batch, dtype=torch.float64)
@@ -49,7 +49,7 @@ def fly(plant, calls: int = CALLS, period: float = 1.0, takes_plant_data: bool =
 
 
 def by_hand(held: Tensor, latency: Tensor, call: int) -> Tensor:
-    """(3, 6, BATCH) the oldest first: of as many calls as the state is old, and no more than there were."""
+    """Returns (3, 6, BATCH), the oldest first: controls of as many calls as the state is old, at most of all calls."""
     sent = torch.full((3, *held.shape[1:]), math.nan, dtype=torch.float64)
     for column, age in enumerate(latency.tolist()):
         for back in range(1, min(age, call) + 1):
@@ -67,7 +67,7 @@ def test_what_was_held_since_the_state_is_told_though_calls_were_missed(period: 
     assert 0.2 < missed.double().mean() < 0.5
     for call, told in enumerate(correct.told):
         torch.testing.assert_close(told["sent"], by_hand(held, latency, call), rtol=0, atol=0, equal_nan=True)
-    # who took what was asked for instead of what was held would be told something else
+    # the desired controls in place of the held ones would give other numbers
     asked = torch.arange(1.0, CALLS + 1, dtype=torch.float64)[:, None, None].expand_as(held)
     assert not torch.equal(
         correct.told[-1]["sent"].nan_to_num(), by_hand(asked, latency, CALLS - 1).nan_to_num()

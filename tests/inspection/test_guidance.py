@@ -116,7 +116,7 @@ def test_natural_motion_leads_around_the_chief_to_its_sunlit_side() -> None:
 
 
 def tour(duration: float, interval: float, safety: SafetyFilter | None = None) -> torch.Tensor:
-    """States (16, steps + 1) of the demonstration, from its state file."""
+    """Returns states (16, steps + 1) of the demonstration, from its state file."""
     x, _ = read_state(DEMONSTRATION, C)
     control, states = guidance.lqr_pd(C), [x]
     for i in range(round(duration / interval)):

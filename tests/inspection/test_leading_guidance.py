@@ -26,7 +26,7 @@ UNSEEN = 3711  # seed of cases that neither the search nor the check has flown
 
 
 def on_ellipse(orbit: Orbit, phase: float, theta_s: float) -> torch.Tensor:
-    """The state (16, 1) of the free motion at a phase, with the camera on the chief."""
+    """Returns the state (16, 1) of the free motion at a phase, with the camera on the chief."""
     x = torch.zeros(SIZE, 1, dtype=torch.float64)
     n, a, b = C.mean_motion, orbit.out_of_plane, orbit.semi_minor
     cos, sin = math.cos(phase), math.sin(phase)
@@ -56,7 +56,7 @@ def around_the_chief(count: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def shrunk(p: torch.Tensor) -> torch.Tensor:
-    """The direction from the chief where the ellipse is a circle, (3, ...)."""
+    """Returns the direction from the chief where the ellipse is a circle, (3, ...)."""
     return unit(torch.stack((p[0], p[1] / 2, p[2])))
 
 
@@ -81,7 +81,7 @@ def test_the_way_leads_along_a_great_circle_to_the_ellipse() -> None:
 
 
 def seen_from(angle: float, energy: float, sun_to_camera: float = 180.0) -> tuple[float, float]:
-    """How far `watch` looks off the chief and off the Sun, deg, from so far off the Sun, its camera so far off it."""
+    """Returns angles in deg of `watch` off chief and Sun, from the angles of position and camera off the Sun."""
     x = torch.zeros(SIZE, 1, dtype=torch.float64)
     x[E], x[THETA_S] = energy, 0.0
     half = math.radians(sun_to_camera) / 2  # of a turn about z
@@ -110,7 +110,7 @@ def test_the_camera_is_on_the_chief_as_far_as_the_battery_allows() -> None:
     assert off_chief == pytest.approx(80 - balanced / 2, abs=0.1)
     assert [*seen_from(120, 7.0)] == pytest.approx(
         (120.0, 180.0), abs=1e-4
-    )  # of the dark side nothing can be seen
+    )  # nothing of the dark side can be seen
     assert [*seen_from(60, 7.0, sun_to_camera=50)] == pytest.approx(
         (60.0, 180.0), abs=1e-4
     )  # and not past the Sun
@@ -147,7 +147,7 @@ def test_a_camera_that_looks_the_other_way_turns_in_time_and_the_thermal_side_to
 
 
 def held(x: torch.Tensor, thrust: torch.Tensor, every: float, times: int) -> tuple[torch.Tensor, float]:
-    """The state after so many holds of `look` along +x of Hill's frame, thrust wanted, and the fastest body rate."""
+    """Returns the state after holds of `look` along +x of Hill with desired thrust, and the fastest body rate."""
     direction = torch.eye(3, dtype=torch.float64)[:, :1].expand(-1, x.shape[1])
     limit = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
     fastest, unsaturated = 0.0, replace(C, saturate_rates=False)
@@ -162,7 +162,7 @@ def held(x: torch.Tensor, thrust: torch.Tensor, every: float, times: int) -> tup
 
 
 def across(degrees: torch.Tensor, size: float, temperature: float = 5.0) -> tuple[torch.Tensor, torch.Tensor]:
-    """States with their axes along Hill's, and thrust at these angles (B,) from y to z, as large along the camera."""
+    """Returns states with axes along Hill's, and thrust at angles (B,) from y to z, equally large along the camera."""
     x = torch.zeros(SIZE, len(degrees), dtype=torch.float64)
     x[Q.start + 3], x[E], x[T], x[THETA_S] = 1.0, 6.0, temperature, math.radians(100)
     radians = degrees.double().deg2rad()
@@ -182,7 +182,7 @@ def test_the_nearest_body_axis_rolls_to_the_thrust_and_the_camera_stays(every: f
 
 
 def flown(cases: int) -> Episodes:
-    """All guidance that leads, one after the other, every 10 s and without the filter, in the same unseen cases."""
+    """Flies all leading guidance one after the other, every 10 s and without filter, in the same unseen cases."""
     config = Config()
     config = replace(config, train=replace(config.train, rta=False, device="cpu", compile="on"))
     count = cases * len(LEADING)
@@ -203,7 +203,7 @@ def record(request: pytest.FixtureRequest) -> Episodes:
 
 
 def means(record: Episodes) -> tuple[torch.Tensor, torch.Tensor]:
-    """Each guidance's mean time in s and delta v in m/s."""
+    """Returns each guidance's mean time in s and delta v in m/s."""
     rows = (record.metrics[METRICS.index(name)] for name in ("episode_length_s", "delta_v_m_s"))
     time, fuel = (row.unflatten(0, (len(LEADING), -1)).mean(1) for row in rows)
     return time, fuel

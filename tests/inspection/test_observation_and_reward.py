@@ -23,7 +23,7 @@ ENDS = ("crash", "out_of_bounds", "out_of_power", "success", "timeout")
 
 
 def recompute(x, priority, uninspected, score):
-    """The paper's o, in its order, for one spacecraft."""
+    """Returns the paper's o, in its order, for one spacecraft."""
     p, v, omega, (temperature, energy, theta_s) = x[:3], x[3:6], x[10:13], x[13:]
     to_body = Rotation.from_quat(x[6:10]).inv().apply
     p_hat, sun = p / np.linalg.norm(p), np.array([math.cos(theta_s), math.sin(theta_s), 0.0])
@@ -81,7 +81,7 @@ def as_column(numbers):
 
 
 def at(p, v=(0.0, 0.0, 0.0), yaw=0.0):
-    """One state (16, 1) at p with n_x turned by `yaw` from +x towards +y."""
+    """Returns one state (16, 1) at p with n_x turned by `yaw` from +x towards +y."""
     x = torch.zeros(16, 1, dtype=torch.float64)
     x[P, 0], x[V, 0] = as_column(p), as_column(v)
     x[Q, 0] = as_column([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)])
@@ -89,7 +89,7 @@ def at(p, v=(0.0, 0.0, 0.0), yaw=0.0):
 
 
 def terms(c, x=None, new_score=0.0, delta_v=0.0, torque=0.0, time=10.0, ended=()):
-    """Every term as a float, for one spacecraft."""
+    """Returns every term as a float, for one spacecraft."""
     numbers = [as_column([number]) for number in (new_score, delta_v, torque, time)]
     flags = {name: torch.tensor([name in ended]) for name in ENDS}
     x = at((60.0, 0.0, 0.0)) if x is None else x
@@ -97,7 +97,7 @@ def terms(c, x=None, new_score=0.0, delta_v=0.0, torque=0.0, time=10.0, ended=()
 
 
 def drifting(days):
-    """State after (or, negative, before) a pass through the chief's centre at 2 mm/s, drifting 37 m an orbit."""
+    """Returns the state after (negative: before) passing the chief's centre at 2 mm/s, drifting 37 m an orbit."""
     n = 0.001027
     A = np.zeros((6, 6))
     A[:3, 3:] = np.eye(3)

@@ -16,7 +16,7 @@ C = InspectionParameters()
 
 
 def environment(chief: ChiefParameters | None = None, shown: bool = True) -> InspectionEnv:
-    """Four episodes that have flown a while."""
+    """Returns four episodes that have flown a while."""
     env = InspectionEnv(4, C, [torch.Generator().manual_seed(5)], target=chief, privileged=shown)
     env.reset()
     for _ in range(20):

@@ -33,7 +33,7 @@ def short(c):
 
 
 def simulator(config, episodes):
-    """The simulator that the interface should agree with."""
+    """Returns the simulator that the interface should agree with."""
     safety = SafetyFilter(config.inspection, config.rta).safety(enabled=False)
     return InspectionEnv(episodes, config.inspection, [torch.Generator().manual_seed(SEED)], safety)
 
@@ -43,7 +43,7 @@ def actions(*shape):
 
 
 def leaves(value):
-    """Every array of a nested dictionary."""
+    """Returns every array of a nested dictionary."""
     return [leaf for part in value.values() for leaf in leaves(part)] if isinstance(value, dict) else [value]
 
 

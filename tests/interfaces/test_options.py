@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("small_pools")
 
 
 def start(count=EPISODES):
-    """States (count, 16) and priority unit vectors (count, 3) within every limit, no two alike."""
+    """Returns states (count, 16) and priority unit vectors (count, 3) within every limit, no two alike."""
     env = gymnasium.make_vec(ID, num_envs=count)
     env.reset(seed=99)
     simulator = env.unwrapped.simulator

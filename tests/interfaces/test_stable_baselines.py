@@ -69,7 +69,7 @@ def test_ends_are_told_as_stable_baselines_wants_them(c):
 
 @pytest.fixture
 def env():
-    """Four episodes of three steps behind the filter, with a wrapper around."""
+    """Returns four episodes of three steps with the filter, in a wrapper."""
     batch = VectorRunTimeAssurance(gymnasium.make_vec(ID, num_envs=4, max_episode_steps=3), period=10.0)
     return StableBaselinesEnv(RecordEpisodeStatistics(batch))
 
@@ -84,7 +84,7 @@ def test_the_filters_reports_reach_every_info(env):
 
 
 def start(env, seed):
-    """States (4, 16) and priority vectors (4, 3)."""
+    """Returns states (4, 16) and priority vectors (4, 3)."""
     env.env.reset(seed=seed)
     simulator = env.env.unwrapped.simulator
     return simulator.x.T.numpy().copy(), simulator.sight.priority.T.numpy().copy()

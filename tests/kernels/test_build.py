@@ -30,7 +30,7 @@ print(build.library({SOURCE!r}).three())
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A cache of its own, and a temporary directory that nothing may be left in."""
+    """Sets a cache of its own, and a temporary directory in which no file may be left."""
     (tmp_path / "tmp").mkdir()
     monkeypatch.setenv(build.VARIABLE, str(tmp_path / "cache"))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
@@ -105,7 +105,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(
 
 
 def elsewhere(**environment: str) -> subprocess.Popen[str]:
-    """Another process that builds the same library."""
+    """Starts another process that builds the same library."""
     return subprocess.Popen(
         [sys.executable, "-c", ELSEWHERE],
         env=os.environ | {"TMPDIR": str(tempfile.tempdir)} | environment,

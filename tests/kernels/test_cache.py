@@ -40,7 +40,7 @@ RUN = "from kernels.cache import remembered; import own; print(remembered(own.ma
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """One of its own."""
+    """Returns a cache of its own."""
     monkeypatch.setenv(build.VARIABLE, str(tmp_path / "cache"))
     build.say.cache_clear()
     return tmp_path / "cache"
@@ -48,7 +48,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A directory with OWN, of which modules are taken."""
+    """Returns a directory with OWN, from which modules are imported."""
     for name, text in OWN.items():
         (tmp_path / f"{name}.py").write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
@@ -57,7 +57,7 @@ def written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def started(directory: Path) -> "subprocess.Popen[str]":
-    """RUN in a process of its own."""
+    """Starts RUN in a process of its own."""
     paths = os.pathsep.join([str(ROOT), str(directory)])
     command = [sys.executable, "-B", "-c", RUN]
     return subprocess.Popen(
@@ -66,7 +66,7 @@ def started(directory: Path) -> "subprocess.Popen[str]":
 
 
 def answers(capsys: pytest.CaptureFixture[str], x: float = 1.0) -> list[str]:
-    """What RUN prints, by modules as they are now."""
+    """Returns the output of RUN with the modules as they are now."""
     for name in OWN:
         sys.modules.pop(name, None)
     importlib.invalidate_caches()
@@ -169,12 +169,12 @@ def test_closures_partials_methods_and_tensors_count() -> None:
 
 
 def farther(x: Tensor, c: Limits) -> Tensor:
-    """m outside 50 m."""
+    """Returns m outside 50 m."""
     return norm(x[P]) - 50.0
 
 
 def slower(x: Tensor, c: Limits) -> Tensor:
-    """1e-3 rad^2/s^2 less the squared rate."""
+    """Returns 1e-3 rad^2/s^2 less the squared rate."""
     return 1e-3 - (x[OMEGA] * x[OMEGA]).sum(0)
 
 

@@ -30,7 +30,7 @@ def odd(n: Tensor) -> list[Tensor]:
 
 
 def halved(n: Tensor) -> Tensor:
-    """Half of it."""
+    """Returns half of it."""
     return n / 2.0
 
 
@@ -48,7 +48,7 @@ def in_lockstep(n: Tensor, most: Tensor) -> list[Tensor]:
 
 
 def one_after_the_other(n: Tensor, most: Tensor) -> list[Tensor]:
-    """The second loop begins with what comes out of the first; some want neither, one or both."""
+    """Runs two loops, the second one on the result of the first; some columns need neither, one or both."""
     first = collatz(n, most, waits=True)
     second = collatz(first + n, most, waits=True)
     return [first, second * n, first > second, n * 2.0]
@@ -229,7 +229,7 @@ def test_functions_of_one_name_are_told_apart() -> None:
 
 
 def named_like_another() -> tuple[Callable[..., Tensor], Callable[..., Tensor]]:
-    """Two functions of one name, of which one calls the other."""
+    """Returns two functions of one name, of which one calls the other."""
 
     def run(x: Tensor) -> Tensor:
         return x + 1.0
@@ -253,7 +253,7 @@ def append(goes_on: Tensor, X: Tensor, exp: Tensor) -> tuple[list[Tensor], Tenso
 
 
 class Double(NamedTuple):
-    """A result whose fields C has words for."""
+    """Holds a result whose field names are keywords of C."""
 
     double: Tensor
     on: Tensor

@@ -20,7 +20,7 @@ def compiled(name: str, x: Tensor) -> Tensor:
 
 
 def units(name: str, x: Tensor) -> float:
-    """The largest error, in units of the last place of the true value."""
+    """Returns the largest error, in units of the last place of the true value."""
     with mpmath.workdps(40):
         truths = [getattr(mpmath, name)(mpmath.mpf(value)) for value in x.tolist()]
         found = compiled(name, x).tolist()

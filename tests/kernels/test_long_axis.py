@@ -16,7 +16,7 @@ def table() -> Tensor:
 
 
 def settled(per_point: Tensor) -> Tensor:
-    """Three reductions, each of what the last one gave: a mean, the distances from it, and what is within them."""
+    """Returns three reductions, each of the last one's result: a mean, distances from it, and values within them."""
     mean = per_point.mean(0)
     distance = (per_point - mean).abs()
     within = distance <= distance.mean(0)

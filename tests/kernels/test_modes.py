@@ -76,7 +76,7 @@ def episodes(rta: bool, period: float = 1.0, compiled: bool = False, robust: boo
 
 
 def learned() -> list[Tensor]:
-    """An agent's weights after an update, what it decides, and statistics."""
+    """Returns an agent's weights after an update, its decisions, and statistics."""
     generators = [torch.Generator().manual_seed(0)]
     env = InspectionEnv(8, C, [torch.Generator().manual_seed(3)], SafetyFilter(C).safety(False))
     learner = PPO(
@@ -89,7 +89,7 @@ def learned() -> list[Tensor]:
 
 
 def called() -> list[Tensor]:
-    """Of the filter as a function: control, values, starts."""
+    """Returns the results of the filter as a function: control, values, starts."""
     safety_filter = SafetyFilter(C)
     x = np.zeros(16)
     x[[0, 3, 9, 13, 14]] = 60.0, -1.5, 1.0, 5.0, 6.0

@@ -31,7 +31,7 @@ FIELDS = "a", "b", "psi", "h"
 
 
 def flights(c: InspectionParameters, count: int) -> Tensor:
-    """States (16, count) in flight."""
+    """Returns states (16, count) in flight."""
     x = torch.randn(SIZE, count, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     x[P] *= uniform(16.0, 400.0, count) / x[P].norm(dim=0)
     x[V] *= uniform(0.05, 1.0, count) / x[V].norm(dim=0)
@@ -43,7 +43,7 @@ def flights(c: InspectionParameters, count: int) -> Tensor:
 
 
 def at_limits(c: InspectionParameters, share: float) -> Tensor:
-    """States (16, B) at this share of each limit."""
+    """Returns states (16, B) at this share of each limit."""
     x = flights(c, 60)
     parts = x.split(10, 1)
     parts[0][P] *= share * c.max_distance / parts[0][P].norm(dim=0)
@@ -59,7 +59,7 @@ def at_limits(c: InspectionParameters, share: float) -> Tensor:
 
 
 def not_finite(c: InspectionParameters) -> Tensor:
-    """States (16, 48) with NaN or infinity in each component."""
+    """Returns states (16, 48) with NaN or infinity in each component."""
     x = flights(c, 3 * SIZE)
     for i, number in enumerate((math.nan, math.inf, -math.inf)):
         x[torch.arange(SIZE), torch.arange(SIZE) + i * SIZE] = number
@@ -82,7 +82,7 @@ KINDS_OF_STATES: dict[str, Callable[[InspectionParameters], Tensor]] = {
 
 
 def assert_near(found: Tensor, expected: Tensor, name: str, tolerance: float = 1e-12) -> None:
-    """To so much of a component's size. What is NaN may be a number, as what is zero by its structure stays it."""
+    """Asserts agreement relative to a component's size. A NaN may be a number, because structural zeros stay zero."""
     if expected.dtype == torch.bool:
         assert torch.equal(found, expected), name
         return
@@ -95,7 +95,7 @@ def assert_near(found: Tensor, expected: Tensor, name: str, tolerance: float = 1
 
 
 def conditions(safety: SafetyFilter, x: Tensor) -> list[Tensor]:
-    """Of the program, of Psi and of h."""
+    """Returns the conditions of the program, of Psi and of h."""
     return list(safety.program.evaluated(x))
 
 
@@ -121,7 +121,7 @@ def test_conditions_of_the_filter(name: str) -> None:
 
 
 def mixture(x: Tensor, y: Tensor) -> list[Tensor]:
-    """Every operation, of two numbers each."""
+    """Returns every operation, of two numbers each."""
     return [*(function(x) for function in OF_ONE.values()), *(function(x, y) for function in OF_TWO.values())]
 
 
@@ -130,7 +130,7 @@ def over_points(x: Tensor, w: Tensor) -> list[Tensor]:
 
 
 def bits(parts: list[Tensor]) -> list[Tensor]:
-    """All that can be told apart, NaN from other numbers but not from other NaN."""
+    """Returns bits that differ between numbers, also between NaN and a number, but not between NaNs."""
 
     def of(part: Tensor) -> Tensor:
         negative = part.signbit() & ~part.isnan()

@@ -103,7 +103,7 @@ OF_TWO: dict[str, Function] = {
 
 
 def special_pairs(dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """All pairs of special numbers, and some ordinary ones: (1, B) each."""
+    """Returns all pairs of special numbers, and some ordinary ones: (1, B) each."""
     pairs = torch.tensor(list(itertools.product(SPECIAL, SPECIAL)), dtype=torch.float64).T
     x, y = torch.cat((pairs, uniform(-3.0, 3.0, 2, 500)), 1).to(dtype)
     return x[None], y[None]
@@ -162,7 +162,7 @@ ONCE = ("silu", "softplus of 2")  # at most, by PyTorch's forward mode
 
 
 def along(function: Function, direction: Callable[[Tensor], Tensor], times: int) -> Function:
-    """A derivative of a function of two tensors, by nested forward mode."""
+    """Returns a derivative of a function of two tensors, by nested forward mode."""
     for _ in range(times):
         function = (
             lambda f: lambda x, y: torch.func.jvp(f, (x, y), (direction(x), torch.full_like(y, 0.5)))[1]

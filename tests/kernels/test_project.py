@@ -33,7 +33,7 @@ def campaign(name: str) -> Any:
 
 
 class Call(NamedTuple):
-    """Of `printed`, or of `Compiled`."""
+    """Holds a call of `printed` or of `Compiled`."""
 
     function: Callable[..., list[Tensor]]
     examples: tuple[Tensor, ...]
@@ -42,7 +42,7 @@ class Call(NamedTuple):
 
 
 class StopError(Exception):
-    """Nothing needs to be built."""
+    """Signals that nothing needs to be built."""
 
 
 @functools.cache
@@ -58,7 +58,7 @@ def filter_of(name: str) -> SafetyFilter:
 
 
 def calls_of_filter(name: str, monkeypatch: pytest.MonkeyPatch) -> list[Call]:
-    """What a filter prints."""
+    """Returns the calls of `printed` for a filter."""
     calls: list[Call] = []
     safety_filter = filter_of(name)
 
@@ -80,12 +80,12 @@ def calls_of_filter(name: str, monkeypatch: pytest.MonkeyPatch) -> list[Call]:
 
 
 def text_of(found: Printed) -> str:
-    """All of it."""
+    """Returns all of the printed text."""
     return "\n".join([*found.parts, found.text, found.waiting])
 
 
 def other(example: Tensor) -> Tensor:
-    """Another column of the same type."""
+    """Returns another column of the same type."""
     generator = torch.Generator().manual_seed(0)
     return (30.0 * torch.randn(example.shape, generator=generator)).to(example.dtype)
 

@@ -21,7 +21,7 @@ def test_single_precision_within_double() -> None:
     for (name, function), found in zip(functions.items(), compiled, strict=True):
         assert torch.equal(found, function(x, y)), name
     text = printed(lambda x, y: [functions["choices"](x, y)], x[:, :1], y[:, :1]).text
-    assert text.count("SINGLE(") == 6  # of what is given only
+    assert text.count("SINGLE(") == 6  # for given numbers only
 
 
 def test_double_precision_within_single() -> None:

@@ -17,7 +17,7 @@ TERMINATES = (True, False, True, False)
 
 
 class Step:
-    """One transition of the toy; fields as in `Transition`."""
+    """Holds one transition of the toy; fields as in `Transition`."""
 
     def __init__(self, **fields: Tensor) -> None:
         vars(self).update(fields)
@@ -66,13 +66,13 @@ class Counter:
 
 @pytest.fixture
 def toy() -> type[Counter]:
-    """The environment; each call makes one."""
+    """Returns a function that makes the environment."""
     return Counter
 
 
 @pytest.fixture
 def small_learner():
-    """A function of settings: a learner of two seeds for the toy."""
+    """Returns a function of settings: a learner of two seeds for the toy."""
 
     def make(**settings: Any) -> PPO:
         parameters = PPOParameters(**{"epochs": 1, "minibatch_size": 4} | settings)

@@ -61,7 +61,7 @@ POOL = 16  # initial states drawn at once, so that more are drawn in the midst o
 
 
 def job(directory: Path) -> None:
-    """What each of two ranks does under torchrun; rank 1 does not live to see the end."""
+    """Runs on each of two ranks under torchrun; rank 1 ends early."""
     torch.set_num_threads(1)
     initial_state.POOL, jump_start.LEARNING_RATE = POOL, RATE
     settings, after_update = directory / "train.toml", training.Run.after_update
@@ -99,7 +99,7 @@ def job(directory: Path) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def small_pools() -> Iterator[None]:
-    """The job's pools for the runs of this process, too."""
+    """Uses the job's pools also for the runs of this process."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(initial_state, "POOL", POOL)
         yield
@@ -107,7 +107,7 @@ def small_pools() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, list[str]]:
-    """The job's directory, what its ranks printed and each rank's stderr."""
+    """Returns the job's directory, what its ranks printed and each rank's stderr."""
     directory = tmp_path_factory.mktemp("ranks")
     (directory / "train.toml").write_text(SETTINGS)
     (directory / "study.toml").write_text(STUDY)
@@ -130,7 +130,7 @@ def state(directory: Path) -> dict[str, Any]:
 
 
 def assert_close(one: Any, other: Any, tolerance: float) -> None:
-    """Equal keys, shapes and, within the tolerance, numbers."""
+    """Asserts equal keys, equal shapes and, within the tolerance, equal numbers."""
     one, other = ({name: part for name, part in state.items() if name != "seconds"} for state in (one, other))
     assert all(one.pop(name) == other.pop(name) for name in ("config",))
     torch.testing.assert_close(one, other, rtol=tolerance, atol=tolerance)
@@ -138,14 +138,14 @@ def assert_close(one: Any, other: Any, tolerance: float) -> None:
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The directory of the same run by one process."""
+    """Returns the directory of the same run by one process."""
     directory = tmp_path_factory.mktemp("alone") / "run"
     training.start(from_toml(SETTINGS, "test", Config()), directory).train()
     return directory
 
 
 def scalars(directory: Path) -> dict[str, list[float]]:
-    """What TensorBoard shows, but for the time it took."""
+    """Returns TensorBoard's scalars, except durations."""
     events = EventAccumulator(str(directory))
     events.Reload()
     tags = [tag for tag in events.Tags()["scalars"] if not tag.startswith(("charts/", "time/"))]
@@ -207,7 +207,7 @@ def test_the_first_rank_to_notice_an_end_speaks_for_all(
     store = HashStore()
 
     def train(rank: int, error: Exception) -> int:
-        """Exit code of a rank that stops so."""
+        """Returns the exit code of a rank that stops so."""
 
         def ended(given: object) -> None:
             raise error

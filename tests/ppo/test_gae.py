@@ -7,7 +7,7 @@ from ppo.gae import generalized_advantage
 
 
 def trajectory() -> dict[str, Tensor]:
-    """Twelve steps of three environments, with random ends of both kinds."""
+    """Returns twelve steps of three environments, with random ends of both kinds."""
     generator = torch.Generator().manual_seed(0)
     reward, value, next_value = torch.randn(3, 12, 3, generator=generator, dtype=torch.float64)
     terminated, truncated = torch.rand(2, 12, 3, generator=generator) < 0.2

@@ -17,7 +17,7 @@ LIMIT = 0.2
 
 
 class Bandit:
-    """Each step is an episode that pays a hundredth of its action, and costs 1 where that is above 0.
+    """Makes each step an episode that rewards a hundredth of its action, and costs 1 if the action is above 0.
 
     So the most reward with a cost in `LIMIT` of the steps has costs in just so many; without a limit all steps cost.
     """
@@ -39,7 +39,7 @@ class Bandit:
 
 
 def trained(cost_limit: float) -> torch.Tensor:
-    """The mean cost (S,) of the last 50 of 150 updates in the bandit."""
+    """Returns the mean cost (S,) of the last 50 of 150 updates in the bandit."""
     generators = [torch.Generator().manual_seed(seed) for seed in (3, 4)]
     parameters = PPOParameters(
         cost_limit=cost_limit,

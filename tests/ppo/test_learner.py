@@ -28,7 +28,7 @@ def learner(seeds: tuple[int, ...], parameters: PPOParameters) -> PPO:
 
 
 def batch_of(ppo: PPO, samples: int = 64) -> dict[str, Tensor]:
-    """A random batch, in which seed k depends on its generator only."""
+    """Returns a random batch, in which seed k depends on its generator only."""
 
     def draw(*shape: int) -> Tensor:
         return torch.stack([torch.randn(samples, *shape, generator=g) for g in ppo.generators])
@@ -113,7 +113,7 @@ def test_what_is_said_of_the_ratio_is_that_of_two_gaussians() -> None:
 def reference_loss(
     policy: list[Tensor], value: list[Tensor], batch: dict[str, Tensor]
 ) -> tuple[Tensor, Tensor]:
-    """The loss and policy loss of one seed, written without a seed axis: weights as [W, b, W, b, W, b]."""
+    """Returns the loss and policy loss of one seed, written without a seed axis: weights as [W, b, W, b, W, b]."""
 
     def network(parameters: list[Tensor], x: Tensor) -> Tensor:
         w0, b0, w1, b1, w2, b2 = parameters

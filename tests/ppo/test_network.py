@@ -20,7 +20,7 @@ def observations(count: int = 5) -> Tensor:
 
 
 def excited_policy() -> Policy:
-    """A policy whose last layer is scaled up, so that its outputs depend on the observation."""
+    """Returns a policy whose last layer is scaled up, so that its outputs depend on the observation."""
     policy = Policy(26, 6, generators(*SEEDS), log_std_bounds=(-4.0, 0.0), initial_std=0.5)
     with torch.no_grad():
         policy.network.layers[-1].weight.mul_(300.0)

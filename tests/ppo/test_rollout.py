@@ -13,7 +13,7 @@ STEPS, GAMMA = 7, 0.9
 
 
 def by_hand(learner: PPO, seen: list[Transition]) -> Tensor:
-    """The discounted returns (S, N) of what the environment did, each walked to the end of its episode or rollout."""
+    """Returns discounted returns (S, N) of the environment's steps, each summed to the end of episode or rollout."""
     columns = len(seen[0].reward)
     values = learner.value(
         torch.stack([step.final_observation for step in seen]).expand(2, -1, -1, -1).flatten(1, 2)

@@ -21,8 +21,8 @@ C = InspectionParameters()
 LIMIT = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
 WAYS = ("piqp", "batched", "C")
 
-# Found by a search beyond several limits: safe separation, the only one without slack, asks for more than there is, so
-# that one corner of the box is all that is left.
+# Found by a search beyond several limits: safe separation, the only limit without slack, needs more control than there
+# is, so that only one corner of the control box is left.
 AT_A_CORNER = (
     5.961792261560334, 2.420776071811913, 10.777491537179833, -0.04067360815199077, 0.9032787149492831,
     -2.1248603609408696, -0.2905903818264934, 0.9210267934877242, 0.22055702102567587, 0.13646052961912933,
@@ -37,7 +37,7 @@ CORNER = torch.tensor([-1.0, 1.0, -1.0], dtype=torch.float64)
 
 
 def near_and_beyond(count: int, seed: int) -> tuple[Tensor, Tensor]:
-    """States (16, count), half of them in flight, half beyond several limits, and desired controls (6, count)."""
+    """Returns states (16, count), half in flight and half beyond several limits, and desired controls (6, count)."""
     generator = torch.Generator().manual_seed(seed)
 
     def uniform(low: float, high: float, *shape: int) -> Tensor:
@@ -61,7 +61,7 @@ def near_and_beyond(count: int, seed: int) -> tuple[Tensor, Tensor]:
 
 
 def kept(way: str, safety: SafetyFilter, x: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
-    """(B,) bool: controls (6, B) satisfy each condition, but for rounding, in its unit by PIQP, else per length.
+    """Tells where (B,) controls (6, B) satisfy all conditions up to rounding, in their unit by PIQP, else per length.
 
     First all conditions, then those that are solved for: PIQP's all, else those that a control changes.
     """

@@ -23,7 +23,7 @@ N = PAPER.mean_motion
 
 
 def beside_the_chief(count: int, mesh: str, speed: float) -> tuple[torch.Tensor, InspectionParameters]:
-    """States 1 to 40 m from the deputy's touching the hull, with a speed in any direction; and the task."""
+    """Returns states 1 to 40 m from the deputy's touching the hull, with a speed in any direction; and the task."""
     c = with_hull(PAPER, hull_of(mesh))
     p = some_positions(40 * count, 7.0, 60.0)
     left = clearance(p, c)

@@ -59,7 +59,7 @@ U = commands(1000)
 
 
 def quick(safety_filter: SafetyFilter) -> SafetyFilter:
-    """In C where there is a compiler: the check of a thousand states takes PyTorch a minute."""
+    """Returns the filter in C if there is a compiler, because PyTorch takes a minute to check a thousand states."""
     return fast(safety_filter, "cpu", 64) if finds_compiler() else batched(safety_filter)
 
 
@@ -75,13 +75,13 @@ def result(safety: SafetyFilter) -> FilterResult:
 
 @pytest.fixture(scope="module")
 def solution() -> FilterResult:
-    """What the program answers."""
+    """Returns the program's answers."""
     return way("batched", checked=False).correct(X, U)
 
 
 @pytest.fixture(scope="module")
 def conditions() -> tuple[Tensor, Tensor]:
-    """a (13, 6, B) per actuator limit and b (13, B), which tests/rta/test_paper.py checks against differences."""
+    """Returns a (13, 6, B) per actuator limit and b (13, B), which tests/rta/test_paper.py checks by differences."""
     a, b, *_ = way("batched").program.evaluated(X)
     return a * LIMIT, b
 
@@ -111,7 +111,7 @@ def test_corrected_control_satisfies_every_condition(
 
 
 def best(weights: ndarray, a: ndarray, b: ndarray) -> float:
-    """The most that weights (6,) times a control gives within the limits and rows (R, 6), (R,): a linear program."""
+    """Returns the largest weights (6,) times control within the limits and rows (R, 6), (R,): a linear program."""
     answer = linprog(-weights, -a, b, bounds=[(-1, 1)] * 6, options={"primal_feasibility_tolerance": 1e-10})
     assert answer.success
     return float(-answer.fun)
@@ -237,7 +237,7 @@ def test_a_demand_that_is_no_number_is_no_wish_and_filtered(name: str, checked: 
         nothing[group] = 0.0
         expected = f.correct(x, nothing)
         for component in (group.start, group.stop - 1):
-            for others in (nothing, u):  # what the group's other numbers are does not matter
+            for others in (nothing, u):  # the group's other numbers must not matter
                 wish = others.index_put((torch.tensor([component]),), nothing.new_tensor(math.nan))
                 answer = f.correct(x, wish)
                 assert (answer.control == expected.control).all() and answer.intervened.all()
@@ -247,7 +247,7 @@ def test_a_demand_that_is_no_number_is_no_wish_and_filtered(name: str, checked: 
 def test_what_is_demanded_is_shortened_along_its_direction() -> None:
     limit = list(C.control_limit)
     u = torch.zeros(6, 5, dtype=torch.float64)
-    u[:3, 0] = torch.tensor([0.2, -1.5, 7.0])  # of which nothing is lost
+    u[:3, 0] = torch.tensor([0.2, -1.5, 7.0])  # not shortened
     u[:3, 1] = torch.tensor([4e3, -2e3, 1e3])
     u[3, 1], u[4, 2], u[5, 2] = 4e3 * MAX_TORQUE, math.inf, -math.inf
     u[:, 3] = torch.tensor([math.nan, 1.0, 1.0, MAX_TORQUE, 0.0, 0.0])
@@ -386,7 +386,7 @@ def test_torque_within_rates_brings_no_rate_beyond_after_a_hold(hold: float) -> 
     assert (beyond <= second_order).all(), (beyond / second_order).max()
     same = found[TORQUE] == u[TORQUE]
     assert same.any(1).all() and not same.all(1).any()
-    # what is changed ends at the limit, and what is not was within it
+    # a changed torque ends at the limit, and an unchanged one was within it
     changed = ~same
     off = (omega.abs() - rate).abs()
     assert (off <= second_order.expand(3, -1))[changed].all()
@@ -532,13 +532,13 @@ def test_states_that_are_not_finite_are_never_verified() -> None:
 
 
 def with_a_ball() -> SafetyFilter:
-    """A filter of another mass with a limit of its own."""
+    """Returns a filter for another mass with a limit of its own."""
     ball = {"ball": Limit(clear_of_a_ball, (0.05, 0.2), 1e12)}
     return SafetyFilter(dataclasses.replace(C, mass=14.0), extra=ball)
 
 
 def clear_of_a_ball(x: Tensor, c: Limits) -> Tensor:
-    """m outside 70 m around a place where episodes start."""
+    """Returns m outside 70 m around a place where episodes start."""
     return norm(torch.stack((x[0], x[1] - 80.0, x[2]))) - 70.0
 
 

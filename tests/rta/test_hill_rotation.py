@@ -27,7 +27,7 @@ DT = 0.02  # s
 
 
 def later(x: Tensor, seconds: float) -> Tensor:
-    """States (16, B) with the body turned in an inertial frame; all else by the model."""
+    """Returns states (16, B) with the body turned in an inertial frame; all else by the model."""
     after = step(x, torch.zeros_like(x[:CONTROL_SIZE]), seconds, C)
     sun = Rotation.from_euler("z", (after[THETA_S] - x[THETA_S])[:, None])
     turned = sun * Rotation.from_quat(x[Q].T) * Rotation.from_rotvec(seconds * x[OMEGA].T)
@@ -50,7 +50,7 @@ def test_every_h_changes_as_its_lie_derivative_says(random_states) -> None:
     before, after = (barriers(later(x, side * DT)) for side in (-1, 1))
     np.testing.assert_allclose(rate, (after - before) / (2 * DT), rtol=2e-5, atol=2e-7)
     paper = InspectionParameters()
-    assert (rate - lie_derivative(barriers, x, drift(x, paper))[1]).abs().max() > 1e-5  # what it leaves out
+    assert (rate - lie_derivative(barriers, x, drift(x, paper))[1]).abs().max() > 1e-5  # the omitted part
 
 
 @pytest.mark.campaign

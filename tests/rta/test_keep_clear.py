@@ -22,7 +22,7 @@ DAYS = 172_800
 
 
 def returning(count: int, seed: int) -> Tensor:
-    """States (16, B) that come back to within 10 m of the chief after half an hour to two days, in any attitude."""
+    """Returns states (16, B) that return to within 10 m of the chief after 30 min to two days, in any attitude."""
     generator = torch.Generator().manual_seed(seed)
     s = torch.rand(9, count, generator=generator, dtype=torch.float64)
     x = torch.zeros(SIZE, count, dtype=torch.float64)
@@ -38,7 +38,7 @@ def returning(count: int, seed: int) -> Tensor:
 
 
 def solution(t: float | np.ndarray, n: float) -> np.ndarray:
-    """Clohessy and Wiltshire's transition matrix, (6, 6) or (6, 6, times), as textbooks print it."""
+    """Returns Clohessy and Wiltshire's transition matrix, (6, 6) or (6, 6, times), as textbooks print it."""
     s, c, zero, one = np.sin(n * t), np.cos(n * t), np.zeros_like(t), np.ones_like(t)
     return np.array([
         [4 - 3 * c, zero, zero, s / n, 2 / n * (1 - c), zero],
@@ -51,7 +51,7 @@ def solution(t: float | np.ndarray, n: float) -> np.ndarray:
 
 
 def nearest(x: Tensor) -> np.ndarray:
-    """The smallest distance in m from the chief in two days, looked at every 5 s."""
+    """Returns the smallest distance in m from the chief in two days, looked at every 5 s."""
     phi = solution(np.arange(0.0, DAYS, 5.0), C.mean_motion)[:3]
     return np.array(
         [np.linalg.norm(np.einsum("ijt,j->it", phi, each), axis=0).min() for each in x[:6].T.numpy()]
@@ -59,7 +59,7 @@ def nearest(x: Tensor) -> np.ndarray:
 
 
 def desired(count: int, seed: int, largest: float) -> Tensor:
-    """Controls (6, B) with a thrust of up to so many N."""
+    """Returns controls (6, B) with a thrust of up to so many N."""
     generator = torch.Generator().manual_seed(seed)
     u = 2.0 * torch.rand(6, count, generator=generator, dtype=torch.float64) - 1.0
     u[THRUST] *= largest

@@ -47,7 +47,7 @@ FILTER = SafetyFilter(C)
 PROGRAMS = SafetyFilter(C, RtaParameters(filter="paper"))  # states are drawn from the programs' own safe set
 FREE = dataclasses.replace(C, saturate_rates=False)
 COUNT = 100
-SEED = 9  # of the first kind's states, one more for each other: among the last kind's are conflicts
+SEED = 9  # of the first kind's states, plus one for each later kind; the last kind has conflicts
 COLUMNS = 2 * COUNT  # all with zero control desired, half of them with random and half with adversarial ones
 ROUNDING = 1e-9
 ORIENTATION = slice(7, 10)
@@ -63,17 +63,17 @@ HEATING = temperature_rate(ONE, ONE, C.max_temperature * ONE, C).item()  # deg C
 
 
 def directions(count: int, g: torch.Generator) -> Tensor:
-    """(3, count) unit vectors."""
+    """Returns unit vectors (3, count)."""
     return unit(torch.randn(3, count, generator=g, dtype=torch.float64))
 
 
 def signs(count: int, g: torch.Generator) -> Tensor:
-    """(count,) of 1 and -1."""
+    """Returns signs (count,), 1 or -1."""
     return 2.0 * torch.randint(2, (count,), generator=g).double() - 1.0
 
 
 def across(x: Tensor, axis: Tensor) -> Tensor:
-    """Unit vectors (3, B) along the part of x that is at right angles to the unit vectors `axis`."""
+    """Returns unit vectors (3, B) along the part of x that is at right angles to the unit vectors `axis`."""
     return unit(x - dot(x, axis) * axis)
 
 
@@ -85,7 +85,7 @@ def outside(x: Tensor, g: torch.Generator) -> Tensor:
 
 
 def passing_inside(x: Tensor, g: torch.Generator) -> Tensor:
-    """Aimed at a point at right angles to p, as far from the chief as makes the pass exactly 5 m too close."""
+    """Aims at a point at right angles to p, at the distance from the chief that brings the pass 5 m too close."""
     count = x.shape[1]
     t, side = uniform(15.0, 500.0, count, g), across(directions(count, g), unit(x[P]))
     at_rest = torch.zeros_like(x[V])
@@ -119,7 +119,7 @@ def too_fast_along_an_axis(x: Tensor, g: torch.Generator) -> Tensor:
 
 
 def in_the_cone(x: Tensor, g: torch.Generator) -> Tensor:
-    """The shortest turn that takes the camera there."""
+    """Makes the shortest turn that takes the camera into the cone."""
     count = x.shape[1]
     sun = sun_direction(x[THETA_S])
     angle = C.field_of_view / 2 + C.exclusion_buffer - uniform(0.0, 0.2, count, g)
@@ -150,7 +150,7 @@ def turning_too_fast(x: Tensor, g: torch.Generator) -> Tensor:
 
 
 def others_hold(x: Tensor, own: list[int]) -> Tensor:
-    """(B,) bool: exactly one of `own` constraints is violated, and nothing else."""
+    """Tells where (B,) exactly one of `own` constraints is violated, and no other one."""
     _, _, psi, h = FILTER.program.evaluated(x)
     held = torch.cat((h, psi[ORIENTATION]))
     for i in own:
@@ -161,7 +161,7 @@ def others_hold(x: Tensor, own: list[int]) -> Tensor:
 
 
 def states(put: Callable[[Tensor, torch.Generator], Tensor], own: list[int], seed: int) -> Tensor:
-    """(16, COUNT) states of a kind."""
+    """Returns states (16, COUNT) of a kind."""
     g, kept, most = torch.Generator().manual_seed(seed), [], 40
     for i in range(most):
         x = put(safe_set(2 * COUNT, most * seed + i, PROGRAMS)[0], g)
@@ -179,7 +179,7 @@ def speed_limit(x: Tensor, c: InspectionParameters) -> Tensor:
 
 
 class Kind(NamedTuple):
-    """How to put a state beyond limits, and what is due then.
+    """Holds how to put a state beyond limits, and what is due then.
 
     Attributes:
         back: s, in which the limit is kept again (measured, and a tenth more); sinks: by how much h may fall before.
@@ -217,7 +217,7 @@ KINDS = {
 
 
 class Back(NamedTuple):
-    """A kind's flights: h (seconds, 13, COLUMNS), own (13, COLUMNS) bool, status (seconds, COLUMNS)."""
+    """Holds a kind's flights: h (seconds, 13, COLUMNS), own (13, COLUMNS) bool, status (seconds, COLUMNS)."""
 
     h: Tensor
     own: Tensor
@@ -225,20 +225,20 @@ class Back(NamedTuple):
 
     @property
     def violated(self) -> Tensor:
-        """h of the limit that was put out, (seconds, COLUMNS)."""
+        """Returns h of the limit that was violated at the start, (seconds, COLUMNS)."""
         return torch.where(self.own, self.h, torch.inf).amin(1)
 
 
 @functools.cache
 def compiled() -> SafetyFilter:
-    """The filter that leads back."""
+    """Returns the filter that leads back."""
     return fast(FILTER, "cpu", COLUMNS)
 
 
 @functools.cache
 @torch.no_grad()
 def flown(name: str) -> Back:
-    """A kind, for as long as it may take."""
+    """Flies a kind for as long as it may take."""
     kind, safety = KINDS[name], compiled()
     own = [CONSTRAINTS.index(each) for each in kind.own]
     x = states(kind.put, own, SEED + list(KINDS).index(name)).repeat(1, 2)

@@ -14,7 +14,7 @@ def double_integrator(y: Tensor) -> Tensor:
 
 
 def high_order(y: Tensor) -> Tensor:
-    """Psi_1 = dh/dt + 3 h of h = 1 - p^2 along p' = v."""
+    """Returns Psi_1 = dh/dt + 3 h of h = 1 - p^2 along p' = v."""
     h, rate = lie_derivative(lambda z: 1 - z[:1] ** 2, y, double_integrator(y))
     return rate + 3 * h
 

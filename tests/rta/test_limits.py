@@ -65,7 +65,7 @@ def test_a_spacecraft_at_rest_on_a_limit_has_finite_values_and_slopes() -> None:
 
 
 def approaching(speed: float, miss: float) -> ndarray:
-    """300 states 30 to 700 m away that fly straight past the centre at up to a miss distance."""
+    """Returns 300 states 30 to 700 m away that fly straight past the centre within a miss distance."""
     x, rng = states(300, seed=3), np.random.default_rng(4)
     away = x[:3] / length(x[:3])
     side = np.cross(away, rng.standard_normal((3, 300)), axis=0)

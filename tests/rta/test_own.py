@@ -42,17 +42,17 @@ def cone(x: Tensor, c: Limits) -> Tensor:
 
 
 def sphere(x: Tensor, c: Limits) -> Tensor:
-    """m outside 50 m around the second spacecraft."""
+    """Returns m outside 50 m around the second spacecraft."""
     return norm(to_second(x)) - 50.0
 
 
 def over_one_axis(x: Tensor, c: Limits) -> Tensor:
-    """`sphere` with a constant that fits states (16, B) only."""
+    """Returns `sphere` with a constant that fits states (16, B) only."""
     return (x[P] - tensor(SECOND)).square().sum(0) - 50.0**2
 
 
 def slow_turn(x: Tensor, c: Limits) -> Tensor:
-    """1e-3 rad^2/s^2 less the squared rate."""
+    """Returns 1e-3 rad^2/s^2 less the squared rate."""
     return 1e-3 - dot(x[10:13], x[10:13])
 
 
@@ -70,7 +70,7 @@ EXTRA = {name: OWN[name][0] for name in ("cone", "sphere")}
 
 
 def numpy_psi(x: ndarray, name: str, c: InspectionParameters = UNEQUAL) -> ndarray:
-    """h or Psi_1, with an exact complex-step derivative of h along f."""
+    """Returns h or Psi_1, with an exact complex-step derivative of h along f."""
     limit, h = OWN[name]
     *first, _ = limit.gains
     if not first:
@@ -97,7 +97,7 @@ def test_rows_equal_finite_differences(name: str) -> None:
 
 @cache
 def solved(name: str) -> FilterResult:
-    """What the programs answer, without your own limits ("paper") and with them."""
+    """Returns the programs' answers without your own limits ("paper") and with them."""
     limits = SafetyFilter(C, extra={} if name == "paper" else EXTRA).limits
     return FastProgram(C, limits).correct(X, U)
 
@@ -159,7 +159,7 @@ def test_what_must_hold_is_kept_where_what_has_slack_conflicts() -> None:
     x[3:6] = x[10:13] = 0.0
     for program in (FastProgram(C, away), PaperFilter(C, away)):
         a, b, *_ = program.evaluated(x)
-        b[0] = b[0].maximum(-0.9 * (a[0].abs() * LIMIT).sum(0))  # no more than there is
+        b[0] = b[0].maximum(-0.9 * (a[0].abs() * LIMIT).sum(0))  # needs at most 90 % of the control
         rows = a, b, b, program.values(x)
         program.evaluated = lambda x, rows=rows: rows  # type: ignore[method-assign,misc]
         found = program.correct(x, torch.zeros(6, 50, dtype=torch.float64))

@@ -41,13 +41,13 @@ WEIGHTS = [limit.weight for limit in PAPER.values()]
 
 
 def flown_every(period: float) -> SafetyFilter:
-    """The paper's filter as it is flown: nothing is checked, no gain is capped."""
+    """Returns the paper's filter as it is flown, without check and without capped gains."""
     return SafetyFilter(C, RtaParameters(filter="paper", period=period))
 
 
 @pytest.fixture(scope="module")
 def within() -> Tensor:
-    """2,000 states within all limits, (16, 2000), all over them."""
+    """Returns 2,000 states (16, 2000) all over the set within all limits."""
     return safe_set(2000, 5, flown_every(1.0))[0]
 
 
@@ -61,7 +61,7 @@ def drawn(count: int, seed: int = 0, largest: float = 1.0) -> Tensor:
 
 @pytest.fixture(scope="module")
 def differences() -> tuple[ndarray, ndarray]:
-    """a (13, 6, B) and b (13, B) in flight, by central differences."""
+    """Returns a (13, 6, B) and b (13, B) in flight, by central differences."""
     x = IN_FLIGHT
     gain = np.array([[limit.gains[-1]] for limit in PAPER.values()])
     b = slope(last_psi, x, drift(x, C), 1e-5) + gain * last_psi(x)

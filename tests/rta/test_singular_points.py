@@ -25,7 +25,7 @@ AXES = {"attitude_exclusion": (0, 1.0), "temperature": (1, -1.0), "battery": (0,
 
 
 def at(limit: str) -> Tensor:
-    """(16, 1) exactly at the point, at rest 60 m above the chief."""
+    """Returns a state (16, 1) exactly at the point, at rest 60 m above the chief."""
     x = torch.zeros(16, 1, dtype=torch.float64)
     x[0], x[9] = 60.0, 1.0
     x[15], x[13], x[14] = POINTS[limit]

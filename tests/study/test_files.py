@@ -61,7 +61,7 @@ def test_a_kill_midway_leaves_the_old_file(tmp_path: Path) -> None:
     )
     assert python(code, str(path)).returncode == -signal.SIGKILL
     assert path.read_text() == "old"
-    write_text(path, "new")  # what the kill left is in nobody's way
+    write_text(path, "new")  # the kill's remains do not matter
     assert path.read_text() == "new"
     assert os.listdir(tmp_path) == ["x.json"]
 

@@ -24,7 +24,7 @@ OWN: dict[str, Limit] = {"total_speed": Limit(total_speed, (0.2,), 1e12)}'''
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the code with the limit."""
+    """Returns a copy of the code with the limit."""
     copy = copy_of_the_code(tmp_path_factory.mktemp("fourteen"))
     for file, old, new in (
         ("names.py", "OWN: tuple[str, ...] = ()", 'OWN: tuple[str, ...] = ("total_speed",)'),
@@ -39,7 +39,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(tree: Path, *words: str) -> str:
-    """What a command prints."""
+    """Returns a command's output."""
     environment = os.environ | {"PYTHONPATH": str(tree)}
     done = subprocess.run(
         [sys.executable, "main.py", *words],

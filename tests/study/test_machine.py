@@ -65,7 +65,7 @@ def test_a_directory_is_one_process_s_at_a_time(tmp_path: Path) -> None:
 
 @pytest.fixture(params=sorted(machine.WITHOUT_LOCKS))
 def without_locks(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
-    """A file system that knows no locks, such as NFS or Lustre; the error that it answers with."""
+    """Simulates a file system without locks, such as NFS or Lustre; returns its error."""
 
     def refuse(*_: object) -> None:
         raise OSError(request.param, os.strerror(request.param))

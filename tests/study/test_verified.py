@@ -20,7 +20,7 @@ FAST = {"inspection": {"max_rate": 0.3}}
 
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working directory without reports of its own."""
+    """Returns a working directory without reports of its own."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -30,7 +30,7 @@ def configured(tables: dict[str, Any]) -> Config:
 
 
 def put(config: Config, policy: str, **more: Any) -> None:
-    """A report of a person's own."""
+    """Writes a report of a person's own."""
     campaign = Campaign(policy, 1.0, 2000, 0, 1024)
     Path("runs/verification").mkdir(parents=True, exist_ok=True)
     report = empty_report(campaign, config) | {"episodes": 1000} | more
@@ -62,7 +62,7 @@ def test_the_shipped_reports_hold_the_fingerprint_of_their_rules(path: Path) -> 
                 "initial_radius": [60.0, 200.0],
             }
         },
-        {"plant": {"noise_bound": 2.0, "missed_in_a_row": 1}},  # of what there is not
+        {"plant": {"noise_bound": 2.0, "missed_in_a_row": 1}},  # of effects that are not there
     ],
 )
 def test_what_changes_neither_plant_nor_filter_is_silent(tables: dict[str, Any]) -> None:

@@ -15,10 +15,10 @@ def without_check(safety: SafetyFilter) -> SafetyFilter:
 
 
 class Unproposed(SafetyFilter):
-    """A filter whose check has to find all: what is asked for is proposed, clipped to the actuators' limits."""
+    """Acts as a filter that proposes the desired control, clipped to the actuators' limits, so the check decides."""
 
     def proposed(self, x: Tensor, asked: Tensor) -> FilterResult:
-        """What is asked for, whatever conditions say."""
+        """Returns the desired control, whatever the conditions say."""
         control = call(clipped, asked, list(self.c.control_limit))
         h = call(self.program.values, x, long=if_long(len(self.c.planes)))
         changed = (control != asked).any(0)
@@ -29,6 +29,6 @@ class Unproposed(SafetyFilter):
 
 
 def clipped(u: Tensor, limit: list[float]) -> Tensor:
-    """Controls (6, B) within the actuators' limits."""
+    """Returns controls (6, B) within the actuators' limits."""
     most = u.new_tensor(limit)[:, None]
     return u.clamp(-most, most)

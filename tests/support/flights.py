@@ -21,12 +21,12 @@ LIMIT = np.array(C.control_limit)[:, None]
 
 
 def rate(x: ndarray, u: ndarray) -> ndarray:
-    """f + g u, (16, B), of the paper's equations."""
+    """Returns f + g u, (16, B), of the paper's equations."""
     return drift(x, C) + sum(u[i] * push(x, i) + u[3 + i] * turn(x, i, C) for i in range(3))
 
 
 def fly(x: ndarray, u: ndarray, steps: int = 20) -> ndarray:
-    """One second with u held, by RK4; the wheels hold each rate within its limit."""
+    """Flies one second with u held, by RK4; the wheels hold each rate within its limit."""
     dt = 1.0 / steps
     for _ in range(steps):
         k1 = rate(x, u)
@@ -40,7 +40,7 @@ def fly(x: ndarray, u: ndarray, steps: int = 20) -> ndarray:
 
 
 def flights(count: int, distance: tuple[float, float], speed: tuple[float, float]) -> ndarray:
-    """(16, count) at speeds in units of the limit there, many of all body rates at theirs."""
+    """Returns states (16, count) at speeds in units of the limit there, many with all body rates at their limits."""
     rng = np.random.default_rng(0)
     p, v, q = rng.standard_normal((3, 4, count))
     p = p[:3] / length(p[:3]) * rng.uniform(*distance, count)
@@ -52,7 +52,7 @@ def flights(count: int, distance: tuple[float, float], speed: tuple[float, float
 
 
 def near_the_limits(count: int, seed: int = 0) -> ndarray:
-    """(16, count) states within some limits and beyond others, at up to 1.1 times the dynamic speed limit."""
+    """Returns states (16, count) within some limits and beyond others, at up to 1.1 times the dynamic speed limit."""
     rng = np.random.default_rng(seed)
     p, v, q = rng.standard_normal((3, 4, count))
     p = p[:3] / length(p[:3]) * rng.choice((18.0, 50.0, 200.0, 790.0), count) * rng.uniform(1, 1.01, count)
@@ -63,13 +63,13 @@ def near_the_limits(count: int, seed: int = 0) -> ndarray:
 
 
 def commands(count: int, seed: int = 0, largest: float = 1.0) -> Tensor:
-    """(6, count) uniform within so many times the actuators' limits."""
+    """Returns uniform controls (6, count) within so many times the actuators' limits."""
     return tensor(largest * np.random.default_rng(seed).uniform(-1, 1, (6, count)) * LIMIT)
 
 
 @cache
 def way(name: str, checked: bool = True) -> SafetyFilter:
-    """The filter by PIQP ("piqp"), "batched" or in "C"; not checked: the paper's, whose answer is its program's."""
+    """Returns the filter by PIQP ("piqp"), "batched" or in "C"; not checked: the paper's, the program alone."""
     made = SafetyFilter(C, RtaParameters(filter="checked" if checked else "paper"))
     if name == "C":
         try:

@@ -20,14 +20,14 @@ IMPOSSIBLE = {
 
 
 def at_rest() -> Tensor:
-    """A state (16, 1) at rest, 100 m from the chief, from which nothing is near."""
+    """Returns a state (16, 1) at rest, 100 m from the chief, from which nothing is near."""
     x = torch.zeros(16, 1, dtype=torch.float64)
     x[[0, 9, 13, 14, 15], 0] = torch.tensor([100.0, 1.0, 5.0, 6.0, 3.1], dtype=torch.float64)
     return x
 
 
 def impossible(kind: str) -> Tensor:
-    """That state with a number that none can have, (16, 1)."""
+    """Returns that state with an impossible number, (16, 1)."""
     x, (component, number) = at_rest(), IMPOSSIBLE[kind]
     x[component] = number
     return x

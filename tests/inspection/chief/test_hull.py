@@ -23,14 +23,14 @@ def hull_of(mesh: str) -> ChiefParameters:
 
 
 def corners(mesh: str) -> np.ndarray:
-    """(n, 3) in Hill's frame."""
+    """Returns corners (n, 3) in Hill's frame."""
     own = torch.as_tensor(read(mesh)["triangles"], dtype=torch.float64).reshape(-1, 3).T
     q = torch.tensor(ATTITUDE, dtype=torch.float64)
     return rotate((q / q.norm())[:, None].expand(4, own.shape[1]), own).T.numpy()
 
 
 def distance(p: np.ndarray, body: np.ndarray) -> float:
-    """From the convex hull of a body's corners: the smallest |sum w_i corner_i - p| with w >= 0 that sum to 1."""
+    """Returns the distance from corners' convex hull: the least |sum w_i corner_i - p| with w >= 0 that sum to 1."""
     heavy = 1e4  # of the sum
     matrix = np.vstack((body.T, np.full(len(body), heavy)))
     weights = nnls(matrix, np.append(p, heavy))[0]

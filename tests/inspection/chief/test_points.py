@@ -20,7 +20,7 @@ def normals():
 
 @pytest.fixture
 def looking(random_states):
-    """Eight states (16, 8) whose boresight is within about 20 degrees of the chief, at 15.5 to 150 m."""
+    """Returns eight states (16, 8) whose boresight is within about 20 degrees of the chief, at 15.5 to 150 m."""
     x = random_states(8)
     x[P] *= torch.tensor([15.5, 16.0, 18.0, 25.0, 40.0, 60.0, 90.0, 150.0]) / x[P].norm(dim=0)
     for i in range(8):
@@ -31,7 +31,7 @@ def looking(random_states):
 
 
 def ray_hits(start, direction):
-    """Real parameters t at which start + t direction meets the chief's sphere, in ascending order."""
+    """Returns real parameters t at which start + t direction meets the chief's sphere, in ascending order."""
     a, b, k = direction @ direction, 2 * start @ direction, start @ start - RADIUS**2
     discriminant = b * b - 4 * a * k
     if discriminant < 0:
@@ -48,7 +48,7 @@ def is_seen(normal, p, boresight, sun):
 
 
 def visible(normals, x, c):
-    """(N, B) bool."""
+    """Returns which points are visible, (N, B) bool."""
     return chief.in_view(normals, x, c)[1]
 
 
@@ -79,7 +79,7 @@ def lloyd(points, wanted, centres, per_cluster, iterations=5):
 
 
 def choose(counts, generator):
-    """(N, len(counts)) bool: random subsets of the given sizes."""
+    """Returns random subsets of the given sizes, (N, len(counts)) bool."""
     wanted = torch.zeros(POINTS, len(counts), dtype=torch.bool)
     for column, count in enumerate(counts):
         wanted[torch.randperm(POINTS, generator=generator)[:count], column] = True

@@ -25,7 +25,7 @@ C = InspectionParameters(num_points=150)
 
 
 def hit(origin: np.ndarray, towards: np.ndarray, triangles: np.ndarray, longest: float = np.inf) -> bool:
-    """Whether a ray meets one of the triangles (Moeller and Trumbore 1997)."""
+    """Tells whether a ray meets one of the triangles (Moeller and Trumbore 1997)."""
     edges = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     across = np.cross(towards, edges[1])
     det = (edges[0] * across).sum(1)
@@ -44,7 +44,7 @@ def whole(request):
 
 
 def some_states(count: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """States that look at the chief's centre from 12 to 40 m, and attitudes of the chief."""
+    """Returns states that look at the chief's centre from 12 to 40 m, and attitudes of the chief."""
     generator = torch.Generator().manual_seed(3)
     x = torch.zeros(SIZE, count, dtype=torch.float64)
     direction = torch.nn.functional.normalize(torch.randn(3, count, generator=generator).double(), dim=0)
@@ -203,7 +203,7 @@ def test_what_is_no_mesh_is_refused(content, words, tmp_path) -> None:
 
 
 def stl_text(name: str = "box", end: str = "\n") -> str:
-    """The box as text, of which a name may hold anything."""
+    """Returns the box as STL text with a name, which may hold any text."""
     lines = [f"solid {name}"]
     for triangle in BOX.tolist():
         corners = [f"vertex {x!r} {y!r} {z!r}" for x, y, z in triangle]
@@ -251,7 +251,7 @@ def test_what_trimesh_reads_is_read(kind: str, tmp_path: Path) -> None:
 
 
 def with_comment(kind: str, **options: str) -> tuple[bytes, bytes]:
-    """The box as trimesh writes it, in two parts between which a comment may stand."""
+    """Returns the box as trimesh writes it, in two parts between which a comment may stand."""
     content = trimesh.Trimesh(BOX.reshape(-1, 3), np.arange(3 * len(BOX)).reshape(-1, 3)).export(
         file_type=kind, **options
     )

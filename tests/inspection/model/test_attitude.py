@@ -19,7 +19,7 @@ quaternions = vectors(4).filter(lambda q: np.linalg.norm(q) > 0.1).map(lambda q:
 
 
 def xi(q):
-    """The quaternion's derivative as the paper writes it out (Sec. Attitude)."""
+    """Returns the quaternion's derivative as the paper writes it out (Sec. Attitude)."""
     q1, q2, q3, q4 = q
     return np.array([[q4, -q3, q2], [q3, q4, -q1], [-q2, q1, q4], [-q1, -q2, -q3]])
 

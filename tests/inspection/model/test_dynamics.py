@@ -25,20 +25,20 @@ BODY_TO_HILL = {  # attitudes that put the body axes where a thermal or power ba
 
 
 def hamilton(a, b):
-    """Quaternion product, scalar first."""
+    """Returns quaternion product, scalar first."""
     scalar = a[0] * b[0] - a[1:] @ b[1:]
     return np.concatenate(([scalar], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])))
 
 
 def to_hill(q, a):
-    """H(H(q, [0, a]), q*) for a scalar-last q."""
+    """Returns h(H(q, [0, a]), q*) for a scalar-last q."""
     scalar_first = np.array([q[3], *q[:3]])
     conjugate = scalar_first * [1, -1, -1, -1]
     return hamilton(hamilton(scalar_first, np.array([0.0, *a])), conjugate)[1:]
 
 
 def paper_rate(x, u, inertia):
-    """The paper's x' written out for one spacecraft, panels on -n_x, thermal node on -n_y."""
+    """Returns the paper's x' written out for one spacecraft, panels on -n_x, thermal node on -n_y."""
     (q1, q2, q3, q4), (w1, w2, w3), (j1, j2, j3) = x[6:10], x[10:13], inertia
     acceleration = A[3:] @ x[:6] + to_hill(x[6:10], u[:3]) / MASS
     spin = 0.5 * np.array([[q4, -q3, q2], [q3, q4, -q1], [-q2, q1, q4], [-q1, -q2, -q3]]) @ x[10:13]
@@ -69,7 +69,7 @@ def integrate(x, u, steps, c, duration=1.0):
 
 
 def still(attitude="identity", theta_s=0.0, temperature=5.0):
-    """One state (16, 1) at rest 60 m in front of the chief."""
+    """Returns one state (16, 1) at rest 60 m in front of the chief."""
     x = torch.zeros(16, 1, dtype=torch.float64)
     x[1], x[T], x[E], x[THETA_S] = 60.0, temperature, 6.0, theta_s
     x[Q, 0] = torch.tensor(BODY_TO_HILL[attitude], dtype=torch.float64)

@@ -20,12 +20,12 @@ A[3, 0], A[3, 4], A[4, 3], A[5, 2] = 3 * N**2, 2 * N, -2 * N, -(N**2)
 
 
 def at(p, v):
-    """States at these positions and velocities, all else zero."""
+    """Returns states at these positions and velocities, all else zero."""
     return torch.cat((p, v, p.new_zeros(SIZE - 6, p.shape[1])))
 
 
 def clearance_by_brute_force(p, v, horizon, spacing):
-    """Smallest distance on a dense grid, each column's positions from one matrix exponential per sample."""
+    """Returns smallest distance on a dense grid, each column's positions from one matrix exponential per sample."""
     propagate, state = expm(A * spacing), np.concatenate((p, v))
     nearest = np.full(p.shape[1], np.inf)
     for _ in range(round(horizon / spacing) + 1):

@@ -9,7 +9,7 @@ from inspection.model.rk4 import rk4_step
 
 
 def error(steps: int) -> float:
-    """Of a harmonic oscillator after 1 s in so many steps."""
+    """Returns the error of a harmonic oscillator after 1 s in so many steps."""
     y = [torch.tensor([1.0, 2.0]).double(), torch.tensor([0.0, 0.0]).double()]
     for _ in range(steps):
         y = rk4_step(lambda y: (y[1], -y[0]), y, 1.0 / steps)

@@ -109,7 +109,7 @@ def test_coasting_is_newtons_gravity_and_our_turning_frame(random_states) -> Non
     torch.testing.assert_close(there[OMEGA], own[OMEGA], rtol=0, atol=1e-14)
     torch.testing.assert_close(there[THETA_S], own[THETA_S], rtol=0, atol=1e-10)
     torch.testing.assert_close(there[[T, E]], own[[T, E]], rtol=0, atol=1e-3)
-    papers = integrate(x, nothing(x), 1.0, C, 1000)  # which leaves the turning out
+    papers = integrate(x, nothing(x), 1.0, C, 1000)  # the paper's, without the turning of Hill's frame
     assert (there[P] - papers[P]).norm(dim=0).max() > 1e-3
     turned = Rotation.from_quat(papers[Q].T.numpy()).inv() * Rotation.from_quat(there[Q].T.numpy())
     assert math.degrees(turned.magnitude().min()) > 45.0
@@ -122,7 +122,7 @@ def attracted(_: float, s: np.ndarray) -> np.ndarray:
 
 
 def flattened(_: float, s: np.ndarray) -> np.ndarray:
-    """Gravity of an Earth with J2 (Vallado 2013, Eq. 8-27)."""
+    """Returns gravity of an Earth with J2 (Vallado 2013, Eq. 8-27)."""
     r, mu = s[:3], EARTH_MU
     size = np.linalg.norm(r)
     k, z = 1.5 * EARTH_J2 * mu * EARTH_RADIUS**2 / size**5, 5 * (r[2] / size) ** 2

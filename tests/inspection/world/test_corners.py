@@ -28,7 +28,7 @@ BOUNDS = np.repeat([0.9, 0.004, math.radians(0.4), math.radians(0.02)], 3)  # th
 
 
 def error_of(plant: Plant, x: Tensor, time: float) -> np.ndarray:
-    """(12, B) by which what is measured is off, in m, m/s, rad, rad/s."""
+    """Returns the errors (12, B) of a measurement, in m, m/s, rad, rad/s."""
     seen = plant.sense(moments(x.shape[1], time), x.clone())
     turned = Rotation.from_quat(x[Q].T.numpy()).inv() * Rotation.from_quat(seen[Q].T.numpy())
     difference = (seen - x).numpy()

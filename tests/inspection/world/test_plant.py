@@ -59,7 +59,7 @@ def make(parameters: PlantParameters | None, batch: int = 4, seed: int = 0, **mo
 
 
 def states(batch: int, seed: int = 3) -> tuple[Tensor, Tensor]:
-    """Some of the paper's starts, moving and tumbling."""
+    """Returns some of the paper's starts, moving and tumbling."""
     generator = seeded(seed)
     x, priority = sample_initial_state(batch, generator, C)
     x[V] = 0.2 * torch.randn(3, batch, generator=generator, dtype=torch.float64)
@@ -96,7 +96,7 @@ def test_a_plant_that_is_the_model_takes_no_draw_and_is_not_there() -> None:
 
 
 def disturbed_rate(x: np.ndarray, u: np.ndarray, plant: Plant, k: int) -> np.ndarray:
-    """The paper's rate, with the drawn body and what acts in the place of the model's and what is commanded."""
+    """Returns the paper's rate with the drawn body and the acting control in place of the model's and the command."""
     mass, *rest = plant.drawn.body[:, k].tolist()
     inertia, push = rest[:3], rest[3:]
     acting = np.concatenate(
@@ -139,7 +139,7 @@ def test_the_disturbed_flight_is_scipys() -> None:
         ).y[:, -1]
         same = np.sign(found[6:10] @ last.after[Q, k].numpy())
         found[6:10] *= same / np.linalg.norm(found[6:10])
-        found[T : E + 1] = last.after[T : E + 1, k]  # of the attitude; where light comes and goes, they bend
+        found[T : E + 1] = last.after[T : E + 1, k]  # not compared: they bend where light changes
         np.testing.assert_allclose(last.after[:, k], found, rtol=1e-6, atol=1e-7)
     assert (last.after[OMEGA].abs() > C.max_rate).any()  # nothing saturates
 
@@ -278,7 +278,7 @@ def test_one_actuator_fails_at_its_time(failing: str, rows: set[int]) -> None:
 
 
 class Recorded:
-    """A controller, a filter and a plant without motion of its own that show what they are given."""
+    """Acts as controller, filter and plant without motion, and shows their inputs."""
 
     def __init__(self) -> None:
         self.seen: list[float] = []
@@ -366,7 +366,7 @@ def facing(batch: int) -> tuple[Tensor, Tensor]:
 
 
 class Witness:
-    """A filter that keeps what it is shown, and lets everything pass."""
+    """Acts as a filter that keeps its inputs, and corrects nothing."""
 
     def __init__(self) -> None:
         self.seen: list[Tensor] = []

@@ -28,20 +28,20 @@ LOOK = 0.5  # s
 
 @functools.cache
 def vehicle(name: str, saturates: bool = True) -> InspectionParameters:
-    """A shipped vehicle's constants."""
+    """Returns a shipped vehicle's constants."""
     found = C if name == "paper" else load(f"vehicles/{name}", Config()).inspection
     return replace(found, saturate_rates=saturates)
 
 
 @functools.cache
 def backup(name: str, hold: float, saturates: bool = True) -> NominalCheck:
-    """The check of a vehicle, which there has to be."""
+    """Returns the check of a vehicle, which must have one."""
     return NominalCheck(vehicle(name, saturates), hold)
 
 
 @functools.cache
 def safety(name: str, hold: float, saturates: bool = True, compiled: bool = True) -> SafetyFilter:
-    """The check of a vehicle as a filter, behind no program: it has to find all."""
+    """Returns the check of a vehicle as a filter without a program, so that the check decides alone."""
     own = RtaParameters() if name == "paper" else load(f"vehicles/{name}", Config()).rta
     found = Unproposed(vehicle(name, saturates), replace(own, period=hold))
     return fast(found, "cpu", 64) if compiled else found
@@ -49,7 +49,7 @@ def safety(name: str, hold: float, saturates: bool = True, compiled: bool = True
 
 @functools.cache
 def in_c(name: str, hold: float, saturates: bool = True) -> Compiled:
-    """Of states: those after a hold of both laws, the least of each limit in it, the laws' control, and `at_once`."""
+    """Returns for states those after a hold of both laws, its least of each limit, the laws' control, and `at_once`."""
     b = backup(name, hold, saturates)
 
     def flown(x: Tensor) -> list[Tensor]:
@@ -61,7 +61,7 @@ def in_c(name: str, hold: float, saturates: bool = True) -> Compiled:
 
 
 def random(size: int, count: int, seed: int) -> Tensor:
-    """(size, count) numbers between -1 and 1."""
+    """Returns numbers (size, count) between -1 and 1."""
     generator = torch.Generator().manual_seed(seed)
     return 2 * torch.rand(size, count, generator=generator, dtype=torch.float64) - 1
 
@@ -71,7 +71,7 @@ def unit(x: Tensor) -> Tensor:
 
 
 def limits(c: InspectionParameters) -> Tensor:
-    """Of the controls, (6, 1)."""
+    """Returns the limits of the controls, (6, 1)."""
     return torch.tensor(c.control_limit, dtype=torch.float64)[:, None]
 
 
@@ -80,7 +80,7 @@ def anywhere(count: int, seed: int, c: InspectionParameters = C) -> Tensor:
 
 
 def near_the_zone(count: int, seed: int, c: InspectionParameters = C) -> Tensor:
-    """States within 60 m of the zone, mostly across."""
+    """Returns states within 60 m of the zone, mostly across."""
     x, rng = hypercube(count, seed, c), np.random.default_rng(seed)
     p, v = x[P].numpy(), rng.standard_normal((3, count))
     out = p / length(p)
@@ -93,7 +93,7 @@ def near_the_zone(count: int, seed: int, c: InspectionParameters = C) -> Tensor:
 
 
 def far_and_fast(count: int, seed: int, c: InspectionParameters = C) -> Tensor:
-    """States at 0.85 to 1 of the zone, almost at the limits of speed, in any direction."""
+    """Returns states at 0.85 to 1 of the zone, almost at the limits of speed, in any direction."""
     x, draw = hypercube(count, seed, c), random(5, count, seed)
     distance = c.max_distance * (0.925 + 0.075 * draw[0])
     x[P] = distance * unit(x[P])
@@ -104,7 +104,7 @@ def far_and_fast(count: int, seed: int, c: InspectionParameters = C) -> Tensor:
 
 
 def at_the_chief(count: int, seed: int, c: InspectionParameters = C) -> Tensor:
-    """States that fly towards the chief, within 1 m of its centre's line."""
+    """Returns states that fly towards the chief, within 1 m of its centre's line."""
     x, rng = hypercube(count, seed, c), np.random.default_rng(seed)
     p = x[P].numpy()
     p = p / length(p) * rng.uniform(20, 300, count)
@@ -115,7 +115,7 @@ def at_the_chief(count: int, seed: int, c: InspectionParameters = C) -> Tensor:
 
 
 def hot_and_empty(count: int, seed: int, c: InspectionParameters = C) -> Tensor:
-    """States of which half are next to the limits of heat and charge, and all turn fast."""
+    """Returns states that turn fast, half of them next to the limits of heat and charge."""
     x, draw = hypercube(count, seed, c), random(5, count, seed)
     half = torch.arange(count) % 2 == 0
     x[T, half] = (c.max_temperature - 1.0 - draw[0])[half]
@@ -128,30 +128,30 @@ STARTS = (anywhere, near_the_zone, far_and_fast, at_the_chief, hot_and_empty)
 
 
 def everywhere(count: int, seed: int, c: InspectionParameters = C) -> Tensor:
-    """States (16, count) of all kinds in equal parts, one after the other."""
+    """Returns states (16, count) of all kinds in equal parts, one after the other."""
     each = -(-count // len(STARTS))
     parts = [start(each, seed + i, c) for i, start in enumerate(STARTS)]
     return torch.stack(parts, -1).flatten(1)[:, :count]
 
 
 def opposite(u: Tensor, c: InspectionParameters) -> Tensor:
-    """Full controls against given ones (6, B)."""
+    """Returns full controls against given ones (6, B)."""
     return -limits(c) * torch.where(u == 0.0, 1.0, u.sign())
 
 
 def rates_towards(x: Tensor, wanted: Tensor, hold: float, c: InspectionParameters) -> Tensor:
-    """(3, B) torque that brings rates to wanted ones over a hold, within its limit."""
+    """Returns torque (3, B) within its limit that brings rates to wanted ones over a hold."""
     inertia = torch.tensor(c.inertia, dtype=torch.float64)[:, None]
     return (inertia * (wanted - x[OMEGA]) / hold).clamp(-c.max_torque, c.max_torque)
 
 
 def turning(x: Tensor, hold: float, seed: int, c: InspectionParameters = C) -> Tensor:
-    """(3, B) torque towards rates that are almost at their limits."""
+    """Returns torque (3, B) towards rates that are almost at their limits."""
     return rates_towards(x, 0.99 * c.max_rate * random(3, x.shape[1], seed).sign(), hold, c)
 
 
 def least_of(x: Tensor, c: InspectionParameters, spacing: float | None = None) -> np.ndarray:
-    """The eleven limits (11, B) at states (16, B) by the formulas of `tests.oracles`."""
+    """Returns the eleven limits (11, B) at states (16, B) by the formulas of `tests.oracles`."""
     y = x.numpy()
     return np.concatenate((motion(y[:3], y[3:6], c, spacing), attitude(y, c)))
 
@@ -164,7 +164,7 @@ def least_between(
     spacing: float | None = None,
     look: float = 0.05,
 ) -> np.ndarray:
-    """The least of the eleven limits (11, B) over a hold in the plant's steps, each looked into every `look` s.
+    """Returns the least of the eleven limits (11, B) over a hold in the plant's steps, each sampled every `look` s.
 
     Args:
         spacing: s, between two looks at free flight, which is looked at where the steps end; None: it is not.
@@ -183,7 +183,7 @@ def least_between(
 
 
 def torque_alone(torque: Tensor) -> Tensor:
-    """(6, B) controls without thrust."""
+    """Returns controls (6, B) without thrust."""
     u = torch.zeros(6, torque.shape[1], dtype=torque.dtype)
     u[TORQUE] = torque
     return u

@@ -64,7 +64,7 @@ def spun(omega: np.ndarray, torque: np.ndarray, hold: float, moments: np.ndarray
 
 
 def to_the_sun(x: Tensor, axis: int, sign: float) -> np.ndarray:
-    """The angle in rad between a body axis and the Sun."""
+    """Returns the angle in rad between a body axis and the Sun."""
     y = x.numpy()
     sun = np.stack((np.cos(y[15]), np.sin(y[15]), np.zeros_like(y[15])))
     return np.arccos(np.clip(sign * (body_axis(y[6:10], axis) * sun).sum(0), -1, 1))

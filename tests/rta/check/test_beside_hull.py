@@ -36,7 +36,7 @@ def task(mesh: str) -> InspectionParameters:
 
 
 def motion(p: ndarray, v: ndarray, c: InspectionParameters, spacing: float | None) -> ndarray:
-    """`oracles.motion` with planes in the place of the sphere; p, v (3, B)."""
+    """Returns `oracles.motion` with planes in place of the sphere; p, v (3, B)."""
     *normals, b = np.array(c.planes).T
     n, b = np.array(normals).T, b[:, None] + c.deputy_radius
     least = beside_sphere(p, v, c, None)
@@ -49,7 +49,7 @@ def motion(p: ndarray, v: ndarray, c: InspectionParameters, spacing: float | Non
 
 
 def nearby(count: int, seed: int, c: InspectionParameters, within: float = 40.0) -> Tensor:
-    """States (16, count) of which most touch no plane, at speeds up to the limit, that far from the hull at most."""
+    """Returns states (16, count) within a distance of the hull, mostly off its planes, at speeds up to the limit."""
     x, draw = hypercube(count, seed, c), (random(2, count, seed) + 1) / 2
     out = unit(x[P])
     x[P] = out * (reach(out, c) + within * draw[0] ** 2)
@@ -58,7 +58,7 @@ def nearby(count: int, seed: int, c: InspectionParameters, within: float = 40.0)
 
 
 def inside(x: Tensor, c: InspectionParameters, spacing: float = 5.0) -> ndarray:
-    """(B,) bool: all limits are kept."""
+    """Tells where (B,) all limits are satisfied."""
     y = x.numpy()
     return np.concatenate((motion(y[:3], y[3:6], c, spacing), attitude(y, c))).min(0) >= 0.0
 
@@ -101,14 +101,14 @@ def test_what_lies_beyond_all_of_it_is_above_a_plane(mesh: str) -> None:
 
 
 def flown(safety: SafetyFilter, x: Tensor) -> Tensor:
-    """`NominalCheck.fly` in C, of all limits."""
+    """Returns `NominalCheck.fly` in C, of all limits."""
     none = torch.zeros(LIMITS, x.shape[1], dtype=torch.bool)
     return in_c(safety)(x, none, ~none[:2])[0]
 
 
 @functools.cache
 def in_c(safety: SafetyFilter) -> Compiled:
-    """`NominalCheck.fly`."""
+    """Returns `NominalCheck.fly`."""
     check = safety.check
     assert isinstance(check, NominalCheck)
     given = torch.ones(SIZE, 1, dtype=torch.float64), torch.zeros(LIMITS, 1, dtype=torch.bool)

@@ -63,7 +63,7 @@ LIMITS = {  # a velocity limit of the user's own that never yields: direction, a
 
 @functools.cache
 def behind_the_filter(period: float) -> tuple[list[bool], list[bool]]:
-    """Of each call with zero control desired and such a limit: it is verified; all 13 limits are kept after it."""
+    """Tells for each call with zero desired control and such a limit if it is verified, and keeps all 13 limits."""
     *n, most = LIMITS[period]
 
     def own(y: Tensor, c: Limits) -> Tensor:

@@ -20,12 +20,12 @@ EACH = pytest.mark.parametrize(
 
 
 def of_groups(least: Tensor) -> Tensor:
-    """(2, B) the least of the limits of thrust and of torque."""
+    """Returns the least of the limits of thrust and of torque, (2, B)."""
     return torch.stack((least[:MOTION].amin(0), least[MOTION:].amin(0)))
 
 
 def flights(name: str, hold: float, saturates: bool, x: Tensor) -> tuple[Tensor, Tensor]:
-    """Whether flights from states (16, B) keep limits of thrust, of torque, and end; the holds they take, (2, B)."""
+    """Tells whether flights from states (16, B) keep limits of thrust, of torque, and end; and their holds, (2, B)."""
     flight, terminal = in_c(name, hold, saturates), backup(name, hold, saturates).terminal
     kept = torch.zeros(2, x.shape[1], dtype=torch.bool)
     holds = torch.zeros(2, x.shape[1], dtype=torch.long)

@@ -31,7 +31,7 @@ EACH = pytest.mark.parametrize(
 def edge(
     x: Tensor, row: slice | int, good: Tensor, bad: Tensor, accepts: Callable[[Tensor], Tensor]
 ) -> Tensor:
-    """States with the last value of a row between a good and a bad one that is accepted."""
+    """Returns states with the last value of a row between a good and a bad one that is accepted."""
     low, high = torch.zeros_like(x[0]), torch.ones_like(x[0])
     for _ in range(BISECTIONS):
         share = (low + high) / 2
@@ -43,7 +43,7 @@ def edge(
 
 
 def least_on_the_way(x: Tensor, name: str, hold: float, saturates: bool) -> Tensor:
-    """The least of each limit (11, B) while both laws are flown, in the plant's steps."""
+    """Returns the least of each limit (11, B) while both laws are flown, in the plant's steps."""
     c, flight = vehicle(name, saturates), in_c(name, hold, saturates)
     least = torch.from_numpy(least_of(x, c, 10.0))
     for _ in range(round(FLIGHT / hold)):

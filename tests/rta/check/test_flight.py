@@ -31,7 +31,7 @@ EACH = pytest.mark.parametrize(
 
 
 def controls(x: Tensor, period: float, c: InspectionParameters) -> Tensor:
-    """Of any size, with little torque; at the corners; of torque that takes rates to their limits; and of the laws."""
+    """Returns controls of any size with little torque, at corners, and both with torque towards the rates' limits."""
     count = x.shape[1]
     any_size, corners = random(6, count, 1), random(6, count, 2).sign()
     kind = torch.arange(count) % 4

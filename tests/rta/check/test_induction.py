@@ -36,7 +36,7 @@ Ask = Callable[[int, Tensor], Tensor]  # which call it is, and states, to desire
 
 
 def proposals(name: str, period: float, saturates: bool) -> Ask:
-    """A column each of what is opposite to the laws, at a random corner, held for a while, nothing, and no number."""
+    """Returns proposals by column: opposite to the laws or a part of it, random corners, held corners, and NaN."""
     c, flight = vehicle(name, saturates), in_c(name, period, saturates)
 
     def ask(call: int, x: Tensor) -> Tensor:
@@ -57,7 +57,7 @@ def proposals(name: str, period: float, saturates: bool) -> Ask:
 
 
 def assert_kept(x: Tensor, c: InspectionParameters, spacing: float | None, where: str) -> None:
-    """Every limit by formulas that are not the code's own."""
+    """Asserts every limit by formulas that are not the code's own."""
     least = least_of(x, c, spacing)
     least[-1] += RATES_HELD
     assert (least >= 0.0).all(), (where, least.min(1), x[:, least.min(0).argmin()].tolist())
@@ -82,7 +82,7 @@ def fly(
 
 
 def starts(name: str, period: float, saturates: bool, count: int, seed: int) -> Tensor:
-    """States (16, count) that are accepted: half of all kinds, half far out and fast."""
+    """Returns states (16, count) that are accepted: half of all kinds, half far out and fast."""
     c, accepts = vehicle(name, saturates), safety(name, period, saturates).is_safe
     parts = []
     for draw in (everywhere, far_and_fast):

@@ -21,7 +21,7 @@ def unit(a: ndarray) -> ndarray:
 
 
 def nodes(count: int, step: float, faster: float, seed: int) -> tuple[ndarray, ndarray]:
-    """Two nodes (6, count) up to step m and faster m/s apart, from beside the chief to beyond the zone."""
+    """Returns two nodes (6, count) up to step m and faster m/s apart, from beside the chief to beyond the zone."""
     rng = np.random.default_rng(seed)
     p, v, dp, dv = unit(rng.standard_normal((3, 4 * count))).reshape(3, 4, count).swapaxes(0, 1)
     distance = rng.choice((15.1, 30.0, 150.0, 500.0, 790.0), count) * rng.uniform(1.0, 1.02, count)

@@ -39,12 +39,12 @@ def compiled(hold: float) -> SafetyFilter:
 
 
 def plain(hold: float) -> SafetyFilter:
-    """The same, not compiled."""
+    """Returns the same, not compiled."""
     return batched(SafetyFilter(C, RtaParameters(period=hold)))
 
 
 class Filters(dict[float, SafetyFilter]):
-    """By hold, each compiled when it is first asked for."""
+    """Holds filters by hold, each compiled when it is first used."""
 
     def __missing__(self, hold: float) -> SafetyFilter:
         self[hold] = compiled(hold)
@@ -57,14 +57,14 @@ def filters() -> dict[float, SafetyFilter]:
 
 
 def demands(count: int, seed: int) -> Tensor:
-    """(6, count) from none to twice the actuators' limits."""
+    """Returns desired controls (6, count) from none to twice the actuators' limits."""
     generator = torch.Generator().manual_seed(seed)
     u = 4 * torch.rand(CONTROL_SIZE, count, generator=generator, dtype=torch.float64) - 2
     return LIMIT * u
 
 
 def starts(safety: SafetyFilter, count: int, seed: int) -> Tensor:
-    """(16, count) from which a backup trajectory is verified."""
+    """Returns states (16, count) from which a backup trajectory is verified."""
     x = hypercube(3 * count, seed, C)
     return x[:, safety.is_safe(x)][:, :count]
 
@@ -87,7 +87,7 @@ def test_no_limit_breaks_whatever_is_asked(
         desired = asked.clone()
         desired[:, ::2] = adversary(call * hold, x)[:, ::2]
         result = safety.correct(x, desired)
-        # what is not verified anew is the backup trajectory that an earlier call verified
+        # a control that is not verified now is on a backup trajectory that an earlier call verified
         assert (result.verified | result.backup).all(), (call, x[:, ~result.verified][:, 0].tolist())
         for i in range(round(hold / LOOK)):
             x = moved(x, result.control, LOOK, C)
@@ -177,7 +177,7 @@ def test_what_replaces_a_control_is_the_first_safe_share_of_the_way_to_the_law(h
         share = gone.norm(dim=0) / way.norm(dim=0)
         torch.testing.assert_close(gone, share * way, rtol=0, atol=1e-9)
         shares |= {round(each, 6) for each in share.tolist()}
-        for less in SHARES:  # that are smaller are not safe
+        for less in SHARES:  # smaller shares are not safe
             tried, smaller = before.clone(), less < share - 1e-6
             tried[own] += less * way
             no = none[:, : int(smaller.sum())]

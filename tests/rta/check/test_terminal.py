@@ -43,7 +43,7 @@ def turned_by(x: Tensor, delta: Tensor, side: Tensor, roll: Tensor, flipped: Ten
 
 
 def quaternion(m: Tensor) -> Tensor:
-    """(4, B), scalar last, of matrices (3, 3, B) from body to Hill's frame: Davenport's eigenvector."""
+    """Returns quaternions (4, B), scalar last, of matrices (3, 3, B) from body to Hill: Davenport's eigenvector."""
     b = m.permute(2, 0, 1)
     k = torch.zeros(len(b), 4, 4, dtype=torch.float64)
     trace = b.diagonal(dim1=1, dim2=2).sum(1)
@@ -54,7 +54,7 @@ def quaternion(m: Tensor) -> Tensor:
 
 
 def inside(name: str, hold: float, saturates: bool, count: int, seed: int) -> Tensor:
-    """States in the set, two thirds of them at its boundary: of the cone, of the motion, of heat and charge."""
+    """Returns states in the set, two thirds of them at its boundary: of the cone, of the motion, of heat and charge."""
     c, b = vehicle(name, saturates), backup(name, hold, saturates)
     s, x = b.terminal, anywhere(count, seed, c)
     draw, side = random(16, count, seed), random(3, count, seed + 1)
@@ -90,7 +90,7 @@ def inside(name: str, hold: float, saturates: bool, count: int, seed: int) -> Te
 def posed(
     x: Tensor, delta: Tensor, way: Tensor, roll: Tensor, flipped: Tensor, rates: Tensor, name: str, c: object
 ) -> Tensor:
-    """The states with another attitude, and rates (3, B) relative to the Sun."""
+    """Returns the states with another attitude, and rates (3, B) relative to the Sun."""
     y = x.clone()
     y[Q] = turned_by(x, delta, way, roll, flipped, vehicle(name).thermal_axis)
     y[OMEGA] = rates - vehicle(name).mean_motion * rotation_matrix(y[Q])[2]
@@ -98,7 +98,7 @@ def posed(
 
 
 def least_kept(x: Tensor, name: str, hold: float, saturates: bool, holds: int) -> tuple[Tensor, Tensor]:
-    """The least room in the set, in units of its own, and of each limit in each of the plant's steps.
+    """Returns the least room in the set, in units of its own, and of each limit in each of the plant's steps.
 
     Not by the bounds between looks, which need more room than there is at the set's edges.
     """
@@ -178,7 +178,7 @@ def test_a_hold_of_the_law_ends_where_the_form_says_but_for_the_bounds(name: str
     c, b = vehicle(name), backup(name, hold)
 
     def coordinates(x: Tensor) -> tuple[Tensor, Tensor]:
-        """a and T w in the body, (3, B) each."""
+        """Returns a and T w in the body, (3, B) each."""
         a, roll, _ = rest_deviation(x, c)
         a[0] -= roll  # about the panels' axis, -x
         return a, hold * (x[OMEGA] + c.mean_motion * rotation_matrix(x[Q])[2])
@@ -205,7 +205,7 @@ def test_where_the_laws_stay_nowhere_there_is_no_set() -> None:
     for other, match in (
         (replace(C, inertia=(50.0, 50.0, 50.0)), "rest"),  # torque does not suffice
         (replace(C, max_temperature=-200.0), "rest"),  # radiates less than the Earth gives
-        (replace(C, power_draw=80.0), "rest"),  # no light charges it
+        (replace(C, power_draw=80.0), "rest"),  # no light can charge the battery
     ):
         with pytest.raises(NoCheckError, match=match):
             cone(replace(pointing, c=other), *form)

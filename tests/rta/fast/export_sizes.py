@@ -60,7 +60,7 @@ int main(void)
 
 
 def deepest(graph: str) -> int:
-    """The stack of the deepest chain of calls from safety_filter, in B; fails where one recurses."""
+    """Returns the stack of the deepest chain of calls from safety_filter, in B; fails if a function recurses."""
     sizes = {
         name: int(size) for name, size in re.findall(r'title: "([^"]+)" label: "[^"]*?\\n(\d+) bytes', graph)
     }
@@ -76,7 +76,7 @@ def deepest(graph: str) -> int:
 
 
 def stack_and_code(directory: Path, compiler: str) -> tuple[int, int]:
-    """The deepest stack and the size of code and constants, in B, of what a compiler makes, COMPILER.o."""
+    """Returns the deepest stack and the size of code and constants, in B, of a compiler's output, COMPILER.o."""
     own = ("-c", directory / "safety_filter.c", "-o", f"{compiler}.o")
     subprocess.run((compiler, "-std=c99", "-O2", *GRAPH, *own), cwd=directory, check=True)
     size = subprocess.run(
@@ -86,7 +86,7 @@ def stack_and_code(directory: Path, compiler: str) -> tuple[int, int]:
 
 
 def linked(directory: Path, name: str, text: str, *more: str) -> Path:
-    """A program with the filter that `stack_and_code` has made with gcc."""
+    """Returns a program with the filter that `stack_and_code` has made with gcc."""
     (directory / f"{name}.c").write_text(text)
     own = (directory / f"{name}.c", directory / "gcc.o", "-o", directory / name, "-lm")
     subprocess.run(("gcc", "-O2", *more, "-I", directory, *own), check=True)

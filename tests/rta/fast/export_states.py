@@ -59,7 +59,7 @@ int main(void)
 
 
 class Answers(NamedTuple):
-    """Of N calls: control (6, N), status (1, N), check (2, N), h, slack and active (constraints, N).
+    """Holds the answers of N calls: control (6, N), status (1, N), check (2, N), h, slack, active (constraints, N).
 
     Attributes:
         check: verified, and another control is applied for that.
@@ -74,7 +74,7 @@ class Answers(NamedTuple):
 
 
 def made(kind: str, **more: object) -> SafetyFilter:
-    """The filter that is called every so many s, or the one of a file in configs/plants."""
+    """Returns the filter that is called every so many s, or the filter of a file in configs/plants."""
     if kind.isdigit():
         return SafetyFilter(parameters=RtaParameters(period=float(kind)), **more)
     config = load(Path(f"configs/plants/{kind}.toml"), Config())
@@ -82,7 +82,7 @@ def made(kind: str, **more: object) -> SafetyFilter:
 
 
 def states(count: int, seed: int) -> tuple[Tensor, Tensor]:
-    """States (16, N) and desired controls (6, N), some beyond the actuators' limits.
+    """Returns states (16, N) and desired controls (6, N), some beyond the actuators' limits.
 
     Of each 20, 6 are the paper's starts and of the safe set, 3 next to limits, 6 within some limits and beyond others,
     where many conflict, 3 far beyond, 1 recorded conflict, and 1 with a number that is none.
@@ -117,7 +117,7 @@ def states(count: int, seed: int) -> tuple[Tensor, Tensor]:
 
 @torch.no_grad()
 def in_python(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> Answers:
-    """What PyTorch answers, by operations in batches, uncompiled."""
+    """Returns PyTorch's answers, by operations in batches, uncompiled."""
     other = batched(safety_filter)
     parts = [other.correct(*pair) for pair in zip(x.split(CHUNK, 1), desired.split(CHUNK, 1), strict=True)]
     answers = [
@@ -128,7 +128,7 @@ def in_python(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> Answer
 
 
 def in_c(program: list[str | Path], x: Tensor, desired: Tensor) -> Answers:
-    """What a program made of PROGRAM and of the filter answers."""
+    """Returns the answers of a program made from PROGRAM and the filter."""
     given = torch.cat((x, desired)).T.contiguous().numpy()
     done = subprocess.run(program, input=given.tobytes(), capture_output=True, timeout=3600)
     assert done.returncode == 0, done.stderr.decode(errors="replace")[:3000]
@@ -139,7 +139,7 @@ def in_c(program: list[str | Path], x: Tensor, desired: Tensor) -> Answers:
 
 
 class Comparison(NamedTuple):
-    """Of two answers: by call (N,).
+    """Holds the differences of two answers, by call (N,).
 
     Attributes:
         other_status: the status differs, or what the check says; control: in units of the actuators' limits;
@@ -153,7 +153,7 @@ class Comparison(NamedTuple):
 
 
 def compared(x: Tensor, one: Answers, other: Answers, limit: Tensor) -> Comparison:
-    """What differs."""
+    """Returns the differences."""
     sound = x.isfinite().all(0)
     h = ((one.h - other.h).abs() / one.h.abs().clamp(min=1.0)).amax(0)
     mine, others = one.status == Status.UNSOLVED, other.status == Status.UNSOLVED

@@ -19,7 +19,7 @@ FIELDS = ("desired", "a", "b", "weight")
 
 
 def solved(programs: Programs, wanted: Tensor | None = None, **more: int) -> tuple[ndarray, ndarray]:
-    """Controls (N, 3) and statuses (N,)."""
+    """Returns controls (N, 3) and statuses (N,)."""
     parts = programs.tensors()
     every = torch.ones_like(parts[0][0], dtype=torch.bool) if wanted is None else wanted
     control, status = solve(*parts, every, **more)
@@ -32,7 +32,7 @@ def unit_rows(rng: np.random.Generator, *shape: int) -> ndarray:
 
 
 def program(desired: list[float], rows: list[list[float]], weight: list[float]) -> Programs:
-    """One program; rows are (a1, a2, a3, b)."""
+    """Returns one program; rows are (a1, a2, a3, b)."""
     table = np.array(rows, dtype=float)[None]
     return Programs(
         np.array([desired], dtype=float), table[..., :3], table[..., 3], np.array([weight], dtype=float)
@@ -40,7 +40,7 @@ def program(desired: list[float], rows: list[list[float]], weight: list[float]) 
 
 
 def feasible_programs(count: int, rows: int, seed: int) -> Programs:
-    """Each has a point inside the box that satisfies every row, some of them with equality."""
+    """Returns programs with a point inside the box that satisfies every row, some rows with equality."""
     rng = np.random.default_rng(seed)
     a, point = unit_rows(rng, count, rows), rng.uniform(-1, 1, (count, 3))
     spare = rng.exponential(0.3, (count, rows)) * rng.integers(0, 4, (count, rows)).clip(max=1)
@@ -49,7 +49,7 @@ def feasible_programs(count: int, rows: int, seed: int) -> Programs:
 
 
 def infeasible_programs(count: int, rows: int, seed: int, weight: ndarray) -> Programs:
-    """Each has a pair of rows that exclude each other by 0.1 to 1 actuator limits, and random others.
+    """Returns programs with two rows that exclude each other by 0.1 to 1 actuator limits, and random others.
 
     What must hold is satisfied by u = 0.
     """
@@ -64,7 +64,7 @@ def infeasible_programs(count: int, rows: int, seed: int, weight: ndarray) -> Pr
 
 
 def synthetic(count: int, rows: int, seed: int) -> Programs:
-    """Random rows, the first of which must hold; in a third of them the last contradicts the one before."""
+    """Returns random rows, the first of which must hold; in a third of them the last contradicts the one before."""
     rng = np.random.default_rng(seed)
     a, point = unit_rows(rng, count, rows), rng.uniform(-1, 1, (count, 3))
     spare = rng.exponential(0.3, (count, rows)) * rng.integers(0, 4, (count, rows)).clip(max=1)
@@ -124,7 +124,7 @@ def test_slack_program_equals_least_distance(weight: ndarray) -> None:
 
 
 def force_left(u: ndarray, desired: ndarray, a: ndarray, b: ndarray, weight: ndarray) -> float:
-    """What stationarity leaves of u - desired after slack forces and the best multipliers of what is active."""
+    """Returns what stationarity leaves of u - desired after slack forces and the best multipliers of active rows."""
     rest, soft = a @ u + b, np.isfinite(weight)
     force = weight[soft] * np.maximum(0.0, -rest[soft])
     normals = np.concatenate((a[~soft], np.eye(3), -np.eye(3)))
@@ -139,7 +139,7 @@ def test_random_programs_satisfy_kkt(rows: int) -> None:
     assert (np.abs(control) <= 1.0).all()
     can = feasible(programs.a, programs.b)
     unsolved = status == Status.UNSOLVED
-    # what must hold is alone in its program: it is infeasible on its own or not at all
+    # only the first row must hold, so a program is unsolved exactly if this row alone is infeasible
     assert (unsolved == ~feasible(programs.a[:, :1], programs.b[:, :1])).all() and unsolved.mean() < 0.01
     assert (status[~unsolved] == np.where(can, Status.HARD, Status.SLACK)[~unsolved]).all()
     assert (status == Status.SLACK).sum() >= 300
@@ -235,12 +235,12 @@ def short_duplicates(p: Programs, u: ndarray) -> tuple[ndarray, ndarray]:
 
 
 def reversed_where_active(p: Programs, u: ndarray) -> tuple[ndarray, ndarray]:
-    """Nothing but a plane is left."""
+    """Reverses rows where they are active, so that only a plane is left."""
     return -p.a, np.where(lhs(u, p.a, p.b) < 1e-9, -p.b, 2.0)
 
 
 def tilted(tilt: float) -> Callable[[Programs, ndarray], tuple[ndarray, ndarray]]:
-    """As far from the solution as the rows they are nearly parallel to."""
+    """Returns a function that tilts rows and keeps their distance from the solution."""
 
     def rows(p: Programs, u: ndarray) -> tuple[ndarray, ndarray]:
         a = p.a + tilt * np.random.default_rng(0).standard_normal(p.a.shape)
@@ -295,7 +295,7 @@ def test_equal_rows_that_yield_weigh_as_much_together(copies: int) -> None:
 
 
 class InC:
-    """The method in C, for programs of so many rows."""
+    """Runs the method in C, for programs of a given number of rows."""
 
     def __init__(self, programs: Programs, attempted: int = active_set.ATTEMPTED) -> None:
         def run(*parts: Tensor) -> list[Tensor]:

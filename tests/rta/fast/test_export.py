@@ -48,12 +48,12 @@ DEVIATIONS = ("2.4", "2.5", "5.6", "8.7", "8.9", "9.3", "10.3", "10.6", "12.1", 
 
 
 def campaign(*values: Any) -> Any:
-    """A parameter of tests that take minutes."""
+    """Returns a parameter of tests that take minutes."""
     return pytest.param(*values, marks=pytest.mark.campaign)
 
 
 class Made(NamedTuple):
-    """A filter and the directory it was written into."""
+    """Holds a filter and the directory it was written into."""
 
     safety_filter: SafetyFilter
     directory: Path
@@ -61,7 +61,7 @@ class Made(NamedTuple):
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Made]:
-    """Each filter, written once, only for reading; without `whole` header, source and example alone."""
+    """Returns each filter, written once, only for reading; without `whole` header, source and example alone."""
     found: dict[tuple[str, bool], Made] = {}
 
     def export(kind: str, whole: bool = False) -> Made:
@@ -109,7 +109,7 @@ def succeed(*words: str | Path, **options: Any) -> str:
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """PROGRAM with the filter in a directory, by a command; each once, since optimising takes seconds."""
+    """Returns PROGRAM with the filter in a directory, by a command; each once, since optimising takes seconds."""
     found: dict[tuple[Path, tuple[str, ...]], Path] = {}
 
     def build(directory: Path, *command: str) -> Path:
@@ -128,7 +128,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
 
 @functools.cache
 def optimised() -> tuple[str, ...]:
-    """The command of gcc that a filter is built by, with GRAPH where it knows that."""
+    """Returns the gcc command that builds a filter, with GRAPH if gcc knows it."""
     gcc = tool("gcc")
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "nothing.c").write_text("extern int nothing;\n")

@@ -37,7 +37,7 @@ pytestmark = pytest.mark.skipif(not finds_compiler(), reason="no C compiler")
 
 
 def uncertainty_of(name: str, **more: Any) -> Uncertainty:
-    """A filter's uncertainty in one of configs/plants."""
+    """Returns a filter's uncertainty in one of configs/plants."""
     return dataclasses.replace(load(Path(f"configs/plants/{name}.toml"), Config()).uncertainty, **more)
 
 
@@ -58,7 +58,7 @@ IN_THE_SUITE = ("now", "5 s", "U1")
 
 
 class Both:
-    """A filter in PyTorch, as it is exported in C, and compiled for a batch."""
+    """Holds a filter in PyTorch, as exported C, and compiled for a batch."""
 
     def __init__(self, kind: str) -> None:
         period, uncertainty = KINDS[kind]
@@ -81,7 +81,7 @@ class Both:
 
 @pytest.fixture(scope="module")
 def made() -> Callable[[str], Both]:
-    """Each kind's filters, built once."""
+    """Returns each kind's filters, built once."""
     filters: dict[str, Both] = {}
 
     def both(kind: str) -> Both:
@@ -190,11 +190,11 @@ def test_a_state_that_is_too_old_is_unsolved_and_never_verified(
     result = safety.correct(x, u, younger)
     assert ((result.status == Status.UNSOLVED) == ~younger[0, 0].isnan()).all()
     assert result.verified[10::2].any()
-    for correct in (safety.correct, driver.batch.correct):  # what was sent to others makes no difference
+    for correct in (safety.correct, driver.batch.correct):  # controls sent to other columns must not matter
         whole, alone = correct(x, u, younger), correct(x, u, younger[1:])
         assert torch.equal(whole.control[:, ::2], alone.control[:, ::2])
         assert torch.equal(whole.verified[::2], alone.verified[::2])
-    assert_same(driver, x, u)  # of no age
+    assert_same(driver, x, u)  # states without age
     assert_same(driver, x, u, torch.full_like(u[None], torch.nan))
 
 
@@ -214,7 +214,7 @@ def test_thrust_that_is_replaced_is_for_the_torque_that_is_applied(made: Callabl
 
 
 def turned(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function whose numbers have the other sign, and whose truth values are the others."""
+    """Returns a function with negated numbers and inverted truth values."""
 
     def run(*given: Any) -> Any:
         return other(function(*given))

@@ -23,7 +23,7 @@ def accepts(x: Tensor, w: RobustTerminalSet = TERMINAL_SET) -> Tensor:
 
 
 def edges(x: Tensor, w: RobustTerminalSet = TERMINAL_SET) -> Tensor:
-    """The fastest of states (16, B) along their velocities from which a backup trajectory is accepted."""
+    """Returns the fastest of states (16, B) along their velocities from which a backup trajectory is accepted."""
     fast = 1.6 * x[V]
     x[V] = 0.0
     fit = accepts(x, w)
@@ -40,7 +40,7 @@ def edges(x: Tensor, w: RobustTerminalSet = TERMINAL_SET) -> Tensor:
 
 
 def beside(count: int, seed: int) -> Tensor:
-    """States (16, count) near the chief, with velocities in any direction."""
+    """Returns states (16, count) near the chief, with velocities in any direction."""
     x = hypercube(count, seed, C)
     generator = torch.Generator().manual_seed(seed)
     r = 20 + 80 * torch.rand(count, generator=generator, dtype=torch.float64)

@@ -43,7 +43,7 @@ U1 = {
 
 
 def flown(x: ndarray, u: ndarray, seconds: float) -> ndarray:
-    """The paper's equations of motion of each column by DOP853, without saturation."""
+    """Returns the paper's equations of motion of each column by DOP853, without saturation."""
     ends = [
         solve_ivp(
             lambda _, y, u=u[:, i]: paper_rate(y, u, C.inertia), (0, seconds), x[:, i], "DOP853", rtol=1e-11
@@ -61,14 +61,14 @@ def some_states(count: int, seed: int = 0) -> ndarray:
 
 
 def some_controls(count: int, seed: int = 0) -> ndarray:
-    """With torque that keeps a body's turn over 10 s in sight of one step of the model."""
+    """Returns controls whose torque keeps a body's turn over 10 s close to one step of the model."""
     u = commands(count, seed).numpy()
     u[3:] *= 0.1
     return u
 
 
 def world(bounds: dict[str, Any]) -> PlantParameters:
-    """Every world that is within these bounds."""
+    """Returns a world within these bounds."""
     given: dict[str, Any] = {"saturate_rates": False, "noise_bound": 1.0}
     for name, value in bounds.items():
         if name in ("mass", "inertia", "thrust_gain", "torque_gain"):
@@ -81,7 +81,7 @@ def world(bounds: dict[str, Any]) -> PlantParameters:
 
 
 def relative(plant: Plant, x: Tensor) -> Tensor:
-    """States with the rates relative to Hill's frame, as the filter wants them."""
+    """Returns states with the rates relative to Hill's frame, as the filter wants them."""
     if not plant.parameters.hill_rotation:
         return x
     turning = rotation_matrix(x[Q])[2] * C.mean_motion
@@ -89,7 +89,7 @@ def relative(plant: Plant, x: Tensor) -> Tensor:
 
 
 def now_of(x: Tensor, sent: Tensor, period: float, uncertainty: Uncertainty) -> tuple[Tensor, Tensor]:
-    """The states of now and their error_bound from those that are as many calls old as controls were sent since."""
+    """Returns the states of now and their error_bound from states that are as many calls old as controls were sent."""
     error_bound = torch.zeros_like(x[:KINDS])
     for u in sent:
         x, error_bound = predicted(x, error_bound, u, C, period, uncertainty)
@@ -97,7 +97,7 @@ def now_of(x: Tensor, sent: Tensor, period: float, uncertainty: Uncertainty) -> 
 
 
 def escaped(bounds: dict[str, Any], period: float, calls: int) -> list[float]:
-    """By how much position, velocity, attitude and rates are off beyond what `predicted` says, at the worst."""
+    """Returns the largest excess of position, velocity, attitude and rate errors over `predicted`."""
     plant = begun(world(bounds), WORLDS, seed=6, c=C)
     x = tensor(some_states(WORLDS, seed=6))
     x[OMEGA] *= 0.3

@@ -56,7 +56,7 @@ def test_a_body_that_has_the_laws_rates_keeps_them() -> None:
 
 
 class World:
-    """Spacecraft that differ from the model by bounds at their corners, with a gyro that is relative to the stars.
+    """Simulates spacecraft with errors at the corners of their bounds, and with a gyro relative to the stars.
 
     The errors are steady in every third episode, change now and then in the next, and resist the law in the last.
     """
@@ -84,12 +84,12 @@ class World:
         return torch.rand(rows, self.x.shape[1], generator=self.generator, dtype=self.x.dtype)
 
     def rates(self) -> Tensor:
-        """(3, B) of the body relative to Hill's frame."""
+        """Returns rates (3, B) of the body relative to Hill's frame."""
         n = C.mean_motion if self.uncertainty.hill_rotation else 0.0
         return torch.stack(rate_in_hill(self.x[Q], self.x[OMEGA], n))
 
     def measured(self) -> tuple[Tensor, Tensor]:
-        """States (16, B) as they are predicted, and by how much further they may be off (4, B)."""
+        """Returns predicted states (16, B), and by how much further they may be off (4, B)."""
         changes = self.chance(6) < torch.tensor([0.0, 0.03, 0.0])[self.kind]
         self.angle = torch.where(changes[:3], self.sign(3), self.angle)
         resists = (self.kind == 2) & (self.chance(1)[0] < 0.9)
@@ -109,7 +109,7 @@ class World:
     attitude = backup().attitude
 
     def fly(self, u: Tensor, misses: bool = True) -> list[Tensor]:
-        """The states on the way to the next call, at which u (6, B) is the answer, or missed."""
+        """Flies to the next call with answer u (6, B), which may be missed; returns the states on the way."""
         longest = round(self.uncertainty.hold(PERIOD) / PERIOD)
         often = torch.tensor([0.05, 0.5, 0.9])[torch.arange(u.shape[1]) // 3 % 3]
         miss = (self.chance(1)[0] < often) & (self.missed < longest - 1) & misses
@@ -130,7 +130,7 @@ class World:
 
 
 def starts(found: RobustCheck, count: int, seed: int) -> Tensor:
-    """States (16, count) from which a backup trajectory is verified, every other one as hot or empty as is accepted."""
+    """Returns states (16, count) with a verified backup trajectory, every other one as hot or empty as is accepted."""
     x = hypercube(6 * count, seed, C)
     x = x[:, found.has_backup_trajectory(x) & torch.from_numpy((attitude(x.numpy(), C) >= 0.0).all(0))][
         :, :count
@@ -184,7 +184,7 @@ def test_what_the_law_first_answers_is_off_by_no_more_than_is_counted(latency: i
     turned = 2 * (seen[Q] * true[-1][Q]).sum(0).abs().clamp(max=1.0).arccos()
     assert (off <= rate + late + ROUNDED).all()
     assert (turned <= math.sqrt(3) * angle + late_angle + 1e-7).all()
-    own = w.share * start.command * w.lag  # what the torque of the hold takes the rate astray by
+    own = w.share * start.command * w.lag  # rate error from the torque of the hold
     assert (off > own + ROUNDED).any() == (held < latency)
     counted, without = (
         torch.stack(followed(each, w).errors) for each in (start, start._replace(late=0 * start.late))

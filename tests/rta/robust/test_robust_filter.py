@@ -27,7 +27,7 @@ def made(uncertainty: Uncertainty) -> RobustFilter:
 
 
 def desired(count: int, seed: int) -> Tensor:
-    """Controls (6, count) up to twice the actuators' limits."""
+    """Returns controls (6, count) up to twice the actuators' limits."""
     generator = torch.Generator().manual_seed(seed)
     limit = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
     return limit * (4.0 * torch.rand(CONTROL_SIZE, count, generator=generator, dtype=torch.float64) - 2.0)

@@ -37,7 +37,7 @@ COUNT = 120
 
 
 def starts(seed: int) -> Tensor:
-    """States (16, COUNT) all over the zone and beside the chief from which a backup trajectory is verified."""
+    """Returns states (16, COUNT) all over the zone and beside the chief from which a backup trajectory is verified."""
     x = torch.cat((hypercube(2 * COUNT, seed, C), beside(2 * COUNT, seed + 1)), 1)
     x[OMEGA] = 0.0
     x = x[:, accepts(x)]
@@ -45,7 +45,7 @@ def starts(seed: int) -> Tensor:
 
 
 class Demands:
-    """Thrust that is asked for: outwards, to the chief, along v or at random, and what the check makes of it.
+    """Asks for thrust outwards, to the chief, along v or at random, and keeps the check's answers.
 
     Attributes:
         refused, verified, asked: how many demands were, of how many.

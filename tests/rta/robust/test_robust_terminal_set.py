@@ -23,7 +23,7 @@ def unit(a: np.ndarray) -> np.ndarray:
 
 
 def within(w: RobustTerminalSet, count: int, seed: int, at_call: bool = False) -> torch.Tensor:
-    """States (16, count) on the edge of the set: |w| as large as it may be, or at a call, at all distances."""
+    """Returns states (16, count) on the edge of the set: |w| as large as allowed, or at a call, at all distances."""
     rng = np.random.default_rng(seed)
     x = torch.zeros(16, count, dtype=torch.float64)
     places = w.nearest, *EVERYWHERE[w.nearest < EVERYWHERE]

@@ -87,7 +87,7 @@ class World:
         return 2 * self.uniform(count).round() - 1
 
     def sees(self, x: Tensor, w: RobustTerminalSet) -> Tensor:
-        """A measurement of true states (16, B), each error at its bound."""
+        """Returns a measurement of true states (16, B), each error at its bound."""
         if self.how == "worst":
             # velocity is seen so that the law lets the spacecraft drift to where it must not: nearer, or farther out
             inwards = torch.where(x[P].norm(dim=0) < 400.0, 1.0, -1.0)
@@ -97,7 +97,7 @@ class World:
         return displaced(x, self.errors * sizes)
 
     def asks_torque(self, x: Tensor) -> Tensor:
-        """Torque (3, B) in N m that turns the body as fast as it may, now and then the other way round."""
+        """Returns torque (3, B) in N m that turns the body as fast as allowed, sometimes in the other direction."""
         self.torque = torch.where(self.uniform(3) < 0.1, -self.torque, self.torque)
         limit = C.max_rate - 3 * 1.3 * C.max_torque / min(C.inertia)
         rates = x[OMEGA]
@@ -105,7 +105,7 @@ class World:
         return torch.where((rates.abs() > limit) & (rates.sign() != self.torque.sign()), self.torque, slow)
 
     def acts(self, x: Tensor, u: Tensor) -> Tensor:
-        """What acts (6, B) where u is asked for."""
+        """Returns the acting control (6, B) for a command u."""
         if self.how == "worst":
             self.gains = torch.where(self.uniform(3) < 0.5, self.gains, 2 - self.gains)
         given = (
@@ -131,7 +131,7 @@ def flown(
     spacing: float | None,
     law: Law | None = None,
 ) -> tuple[ndarray, Tensor, list[Tensor]]:
-    """The least of the seven limits (7, B) on a flight of the law, the last states, and those of each call.
+    """Returns the least of the seven limits (7, B) on a flight of the law, the last states, and those of each call.
 
     Args:
         spacing: s, between two looks at free flight, which is looked at in every call; None: it is not.
@@ -158,17 +158,17 @@ def flown(
 
 
 def of_thrust(c: InspectionParameters, period: float, uncertainty: Uncertainty) -> RobustCheck:
-    """The check of thrust alone; raises NoCheckError where there is no invariant set."""
+    """Returns the check of thrust alone; raises NoCheckError where there is no invariant set."""
     return alone(c, period, uncertainty, 0)
 
 
 def of_torque(c: InspectionParameters, period: float, uncertainty: Uncertainty) -> RobustCheck:
-    """The check of torque alone; raises NoCheckError where there is no backup trajectory."""
+    """Returns the check of torque alone; raises NoCheckError where there is no backup trajectory."""
     return alone(c, period, uncertainty, 1)
 
 
 def alone(c: InspectionParameters, period: float, uncertainty: Uncertainty, group: int) -> RobustCheck:
-    """The check of one group alone."""
+    """Returns the check of one group alone."""
     check = RobustCheck(c, period, uncertainty)
     if not check.knows[group]:
         raise NoCheckError(check.reason)
@@ -179,13 +179,13 @@ def alone(c: InspectionParameters, period: float, uncertainty: Uncertainty, grou
 def committed(
     check: RobustCheck, group: int, x: Tensor, u: Tensor, bound: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """What is applied in the place of controls (6, B), and whether those of a group are safe, and others."""
+    """Returns the applied controls (6, B) for proposed ones, and whether a group's are safe, and changed."""
     y = torch.cat((x, bound))
     control, safe, changed = check.committed(y, u, *check.fit(y, y))
     return control, safe[group], changed[group]
 
 
 def is_safe(check: RobustCheck, group: int, y: Tensor, u: Tensor) -> Tensor:
-    """(B,) bool: a group of controls (6, B) is."""
+    """Tells where (B,) a group of controls (6, B) is safe."""
     none = torch.zeros_like(y[:LIMITS], dtype=torch.bool)
     return check.is_safe(y, u, none, only(group, none))[group]

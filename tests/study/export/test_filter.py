@@ -29,7 +29,7 @@ def compiler() -> None:
 
 @pytest.fixture
 def no_vectors(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing that the C is compared with, which takes seconds; `tests.rta.fast.test_export` runs it."""
+    """Omits the C's comparison vectors, which take seconds; `tests.rta.fast.test_export` uses them."""
     monkeypatch.setattr(files, "vectors_header", lambda safety_filter: "")
 
 

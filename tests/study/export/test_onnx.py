@@ -26,7 +26,7 @@ SHIPPED = Path(main.__file__).parent / "runs" / "reference" / "study" / "rta" / 
 
 
 def untrained(seed: int, **shape: float) -> Policy:
-    """An untrained agent whose actions are not small."""
+    """Returns an untrained agent whose actions are not small."""
     config = override(Config(), {"ppo": shape}, "test")
     policy = make_policy(config, [torch.Generator().manual_seed(seed)])
     with torch.no_grad():

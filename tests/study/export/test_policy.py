@@ -50,7 +50,7 @@ AGENTS: dict[str, Path | dict[str, Any]] = {  # shipped, or the tables of one th
 
 
 class Exported(NamedTuple):
-    """What the command wrote of a checkpoint."""
+    """Holds the files that the command wrote for a checkpoint."""
 
     directory: Path
     policy: Policy
@@ -58,7 +58,7 @@ class Exported(NamedTuple):
 
 
 def untrained(tables: dict[str, Any], path: Path) -> Path:
-    """A checkpoint of an untrained agent whose actions are not small."""
+    """Returns a checkpoint of an untrained agent whose actions are not small."""
     config = override(Config(), tables, "test")
     policy = make_policy(config, [torch.Generator().manual_seed(0)])
     with torch.no_grad():
@@ -70,7 +70,7 @@ def untrained(tables: dict[str, Any], path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Exported]:
-    """Each of AGENTS, exported once; only for reading."""
+    """Returns each of AGENTS, exported once; only for reading."""
     found: dict[str, Exported] = {}
 
     def export(name: str) -> Exported:
@@ -101,7 +101,7 @@ def run(*words: str | Path, **options: Any) -> subprocess.CompletedProcess[str]:
 
 
 def succeed(*words: str | Path) -> str:
-    """What a program prints that must not fail."""
+    """Runs a program that must not fail; returns its output."""
     done = run(*words)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout

@@ -32,7 +32,7 @@ COUNT = 3000
 
 @pytest.fixture(scope="module")
 def given() -> dict[str, ndarray]:
-    """States near the limits with random commands; some fly outward so fast that only slack helps.
+    """Returns states near the limits with random commands; some fly outward so fast that only slack helps.
 
     Every tenth command is far beyond what the actuators can do.
     """
@@ -42,7 +42,7 @@ def given() -> dict[str, ndarray]:
 
 
 def written(given: dict[str, ndarray], directory: Path, *more: str) -> dict[str, ndarray]:
-    """What the command writes for these states."""
+    """Returns the command's output for these states."""
     np.savez(directory / "states.npz", **given)
     arguments = ["--states", str(directory / "states.npz"), "--out", str(directory / "out.npz")]
     assert main.main(["filter", *arguments, "--device", "cpu", *more]) == 0
@@ -51,13 +51,13 @@ def written(given: dict[str, ndarray], directory: Path, *more: str) -> dict[str,
 
 @pytest.fixture(scope="module")
 def result(given: dict[str, ndarray], tmp_path_factory: pytest.TempPathFactory) -> dict[str, ndarray]:
-    """What the command writes for them."""
+    """Returns the command's output for the given states."""
     return written(given, tmp_path_factory.mktemp("offline"))
 
 
 @pytest.fixture(scope="module")
 def solution(given: dict[str, ndarray], tmp_path_factory: pytest.TempPathFactory) -> dict[str, ndarray]:
-    """What it writes of the paper's filter."""
+    """Returns the command's output for the given states with the paper's filter."""
     return written(given, tmp_path_factory.mktemp("paper"), "--rta-filter", "paper")
 
 
@@ -142,7 +142,7 @@ def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def state(**changes: Any) -> ndarray:
-    """(4, 16) good states, the last one changed by component: i3=5.0 sets component 3."""
+    """Returns good states (4, 16), the last one changed by component: i3=5.0 sets component 3."""
     x = np.zeros((4, 16))
     x[:, 0], x[:, 9], x[:, 13], x[:, 14] = 60.0, 1.0, 5.0, 6.0
     for name, value in changes.items():

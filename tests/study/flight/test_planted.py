@@ -36,26 +36,26 @@ COMPILED = {"train": {"compile": "on", "device": "cpu"}}
 
 
 def let_pass(self: SafetyFilter, x: torch.Tensor, desired: torch.Tensor) -> FilterResult:
-    """The filter's answer, but for the control that it was given."""
+    """Returns the filter's answer with the desired control in place of its own."""
     return dataclasses.replace(FILTERED(self, x, desired), control=desired.clone())
 
 
 @pytest.fixture
 def passing_through(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A filter that corrects nothing."""
+    """Makes the filter correct nothing."""
     monkeypatch.setattr(SafetyFilter, "correct", let_pass)
 
 
 @pytest.fixture
 def small_batches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A campaign draws the starts of no more episodes than it flies."""
+    """Makes campaigns draw only as many starts as they fly."""
     monkeypatch.setattr(campaign, "BATCH", 8)
 
 
 def verified(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], substep: float, *more: str
 ) -> dict[str, Any]:
-    """The report of a campaign of the adversary."""
+    """Returns the report of a campaign of the adversary."""
     config, path = tmp_path / "config.toml", tmp_path / "report.json"
     config.write_text(f"[inspection]\nsubstep = {substep}\n")
     arguments = ["--policy", "adversarial", "--episodes", "8", "--duration", "50", "--compile", "on"]
@@ -93,7 +93,7 @@ def test_verify_reports_a_filter_that_corrects_nothing(
 def simulated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], state: dict[str, Any], *more: str
 ) -> tuple[dict[str, ndarray], list[str]]:
-    """What `simulate` recorded of 30 s in full thrust and torque, and the constraints that it calls violated."""
+    """Returns `simulate`'s record of 30 s with full thrust and torque, and the constraints it reports as violated."""
     paths = [str(tmp_path / name) for name in ("state.json", "actions.npy", "run.npz")]
     Path(paths[0]).write_text(json.dumps(STATE | state))
     np.save(paths[1], np.tile([1.0, 1.0, 1.0, 0.001, 0.001, 0.001], (30, 1)))
@@ -106,7 +106,7 @@ def simulated(
 
 
 def states_of(run: dict[str, ndarray]) -> ndarray:
-    """(16, rows)."""
+    """Returns states (16, rows)."""
     parts = [run["position"], run["velocity"], run["quaternion"], run["angular_velocity"]]
     return np.column_stack([*parts, run["temperature"], run["energy"], run["sun_angle"]]).T
 
@@ -144,18 +144,18 @@ def test_simulate_reports_what_a_filter_that_corrects_nothing_lets_pass(
 
 
 def experiment(period: float, seconds: float) -> Experiment:
-    """Of episodes so many s long."""
+    """Returns an experiment with episodes of so many s."""
     tables = {"inspection": {"max_time": seconds}, "rta": {"period": period}}
     return Experiment(override(Config(), COMPILED | tables, "test"), 1)
 
 
 def coasting(t: float, x: torch.Tensor) -> torch.Tensor:
-    """No control."""
+    """Returns zero control."""
     return torch.zeros_like(x[:CONTROL_SIZE])
 
 
 def fast_inwards(count: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """The starts of the safe set at 1 s that would soonest be too fast without braking."""
+    """Returns the starts of the safe set at 1 s that would soonest be too fast without braking."""
     x, priority, _ = safe_set(2000, 0, FILTER)
     inwards = -(x[:3] * x[3:6]).sum(0) / x[:3].norm(dim=0)
     speed = FILTER.values(x)[CONSTRAINTS.index("dynamic_speed")]
@@ -195,7 +195,7 @@ def test_evaluate_reports_what_a_weaker_plant_violates(period: float) -> None:
 
 
 def near_the_chief() -> ndarray:
-    """20 m away at 0.7 m/s inwards, too fast there."""
+    """Returns a start 20 m away at 0.7 m/s inwards, too fast there."""
     x = np.zeros((16, 1))
     x[0], x[3], x[9], x[13:16, 0] = 20.0, -0.7, 1.0, (5.0, 6.0, 3.0)
     return x

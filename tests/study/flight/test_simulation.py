@@ -97,7 +97,7 @@ def test_a_chief_tumbles_in_it_as_an_adaptive_integrator_has_it_and_is_seen_as_b
 
 
 def repeated(rows: np.ndarray, step: int, tmp_path: Path) -> list[str]:
-    """What flies rows of controls and corners again, in a world whose thrusters are weak or strong by half."""
+    """Returns the command that repeats rows of controls and corners, with thrusters 50 % too weak or strong."""
     config, actions = (tmp_path / name for name in ("own.toml", "flight.npy"))
     config.write_text('[plant]\nerrors = "worst"\nthrust_gain = [0.5, 1.5]\n')
     np.save(actions, rows)

@@ -69,7 +69,7 @@ def test_stratified_interval_agrees_with_a_plain_loop() -> None:
 
 
 def clopper_pearson(events: int, trials: int) -> float:
-    """p at which so few events have a chance of 5 %."""
+    """Returns the p at which so few events have a chance of 5 %."""
     if events == trials:
         return 1.0
     return brentq(lambda p: binom.cdf(events, trials, p) - 0.05, 0.0, 1.0, xtol=1e-16)

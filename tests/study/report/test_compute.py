@@ -57,7 +57,7 @@ FILES = {
 
 @pytest.fixture(scope="module", autouse=True)
 def brief(small_pools: None, loose_figures: None) -> Any:
-    """Two periods, short demonstrations and few settings of the guidance."""
+    """Uses two periods, short demonstrations and few settings of the guidance."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flights, "PERIODS", (1.0, 5.0))
         patch.setattr(flights, "DEMONSTRATION_DURATION", DURATION)
@@ -69,7 +69,7 @@ def brief(small_pools: None, loose_figures: None) -> Any:
 
 
 def reported(settings: str, directory: Path) -> Path:
-    """The directory of a study of two updates and its report."""
+    """Returns the directory of a study of two updates and its report."""
     path = directory.with_suffix(".toml")
     path.write_text(settings)
     assert main.main(["study", "--config", str(path), "--study-dir", str(directory)]) == 0
@@ -99,7 +99,7 @@ def test_a_report_of_one_seed_has_every_file(tmp_path: Path, monkeypatch: pytest
 
 @pytest.fixture
 def copy(study: Path, tmp_path: Path) -> Path:
-    """A copy to work on."""
+    """Returns a copy to work on."""
     return Path(shutil.copytree(study, tmp_path / "copy"))
 
 

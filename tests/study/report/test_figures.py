@@ -34,7 +34,7 @@ def test_training_curves(shipped_study: Path, inputs: Inputs, metric: str) -> No
         own = [row for row in rows if row["arm"] == arm]
         assert lines[label].get_xdata() == pytest.approx([float(row["interactions"]) / 1e6 for row in own])
         assert lines[label].get_ydata() == pytest.approx([float(row["iqm"]) for row in own])
-        if metric == "violation_percent":  # of which the paper prints a mean alone
+        if metric == "violation_percent":  # the paper prints only its mean
             assert f"paper, {label}" not in lines
         else:
             assert set(lines[f"paper, {label}"].get_ydata()) == {PAPER_METRICS[metric].by_arm[arm].value}

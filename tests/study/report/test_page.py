@@ -64,7 +64,7 @@ class Reader(HTMLParser):
 
 @pytest.fixture(scope="module")
 def study(shipped_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The shipped study, whose page is written anew."""
+    """Returns the shipped study, whose page is written anew."""
     directory = tmp_path_factory.mktemp("reported") / "study"
     shutil.copytree(shipped_study, directory)
     found = inputs.read(directory)
@@ -74,7 +74,7 @@ def study(shipped_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 def arms_of(study: Path) -> dict[str, Any]:
-    """The results of the paper's arms, by name."""
+    """Returns the results of the paper's arms, by name."""
     arms = json.loads((study / "results.json").read_text())["arms"]
     return {name: arms[name] for name in ARMS}
 
@@ -123,7 +123,7 @@ def test_every_figure_is_embedded_and_described(study: Path, reader: Reader) -> 
 
 
 def body(table: list[list[str]], heads: int) -> dict[str, list[str]]:
-    """The rows of a table by their first cell."""
+    """Returns the rows of a table by their first cell."""
     return {label: cells for label, *cells in table[heads:]}
 
 

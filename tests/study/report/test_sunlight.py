@@ -14,7 +14,7 @@ from study.report.sunlight import earliest_success
 def by_loop(
     theta: float, priority: np.ndarray, c: InspectionParameters, areas: np.ndarray | None = None
 ) -> float:
-    """Each point's moment of first light from its angle to the Sun's circle, then points in that order."""
+    """Returns each point's moment of first light from its angle to the Sun's circle, then points in that order."""
     normals = chief.fibonacci_sphere(c.num_points).T.numpy()
     sizes = np.ones(c.num_points) if areas is None else areas
     pairs = zip(normals, sizes, strict=True)

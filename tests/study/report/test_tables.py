@@ -19,7 +19,7 @@ PROVENANCE = {"device": "abacus", "ranks": 3, "threads": 2}
 
 
 def evaluation(value: float) -> dict[str, Any]:
-    """An evaluation whose every IQM is `value`, its interval one to either side, its percentages a tenth of it."""
+    """Returns an evaluation with IQMs of `value`, intervals one to either side, and percentages a tenth of `value`."""
     summary = {"iqm": value, "mean": value, "ci95": [value - 1.0, value + 1.0]}
     summary |= {"p5": value - 2.0, "p95": value + 2.0, "max": value + 3.0}
     return {
@@ -33,7 +33,7 @@ def evaluation(value: float) -> dict[str, Any]:
 
 
 def arm(value: float) -> dict[str, Any]:
-    """The results of an arm of two seeds."""
+    """Returns the results of an arm of two seeds."""
     seeds = [evaluation(value - 0.5), evaluation(value + 0.5)]
     return evaluation(value) | {
         "seeds": [4, 5],
@@ -45,7 +45,7 @@ def arm(value: float) -> dict[str, Any]:
 
 @pytest.fixture
 def inputs(tmp_path: Path) -> Inputs:
-    """What the tables are made from."""
+    """Returns the inputs of the tables."""
     (tmp_path / "report").mkdir()
     arms = {"no_rta": arm(2.0), "rta": arm(3.0)}
     return Inputs(
@@ -70,7 +70,7 @@ def inputs(tmp_path: Path) -> Inputs:
 
 @pytest.fixture
 def evaluations(tmp_path: Path) -> Path:
-    """The file of two seeds' periodic evaluations."""
+    """Returns the file of two seeds' periodic evaluations."""
     points = [(100, 0.0), (100, 4.0), (200, 1.0), (200, 1.0)]  # two seeds at either
     lines = [
         {"interactions": interactions, "cases": {name: [first, first + 1.0] for name in METRICS}}

@@ -30,7 +30,7 @@ ATTACKED = ("passive_safety", "attitude_exclusion")
 
 @pytest.fixture(scope="module")
 def trained(small_pools: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """A run of two updates behind the filter."""
+    """Returns a run of two updates behind the filter."""
     directory = tmp_path_factory.mktemp("adversary") / "run"
     config = tiny(
         10.0, adversary=list(ATTACKED), rta=True, num_envs=8, interactions=2 * 32, minibatch_size=16
@@ -53,7 +53,7 @@ def test_the_reward_is_the_nearness_of_the_nearest_attacked_limit() -> None:
     turned = Adversary(env, ATTACKED).turned(done)
     np.testing.assert_allclose(turned.reward, -WEIGHT * np.arcsinh(h.min(0)))
     assert set(h.argmin(0)) == {0, 1} and list(turned.reward_terms) == ["adversary"]
-    assert torch.equal(turned.truncated, done.done) and not turned.terminated.any()  # no end pays
+    assert torch.equal(turned.truncated, done.done) and not turned.terminated.any()  # no end is rewarded
     lower, higher = (-WEIGHT * math.asinh(h) for h in (-0.2, -0.1))
     assert lower > higher > 0.0  # a larger violation more
 

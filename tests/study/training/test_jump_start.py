@@ -58,7 +58,7 @@ def test_the_guidance_that_teaches_violates_nothing_without_the_filter(orbit: Or
 
 
 def created(*arguments: Any) -> Run:
-    """A fresh run with its first checkpoint."""
+    """Returns a fresh run with its first checkpoint."""
     run = session.create(*arguments)
     session.save_first(run)
     return run
@@ -66,7 +66,7 @@ def created(*arguments: Any) -> Run:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> session.Run:
-    """A run that was taught and has not begun with PPO; compiled, since its lessons are long."""
+    """Returns a run after its imitation phase and before PPO; compiled, since this phase is long."""
     return taught(session.start(config(compile="on"), tmp_path_factory.mktemp("taught") / "run"))
 
 
@@ -139,7 +139,7 @@ SHORT = {"jump_start": 4 * 512, "interactions": 6 * 512, "num_envs": 128, "rollo
     ],
 )
 def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> session.Run:
-    """A short run that nothing interrupted."""
+    """Returns a short run that nothing interrupted."""
     short = settled(config(**SHORT))
     run = created(short, tmp_path_factory.mktemp("whole") / "run", request.param)
     run.train()
@@ -147,7 +147,7 @@ def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def continued(whole: session.Run, directory: Path) -> session.Run:
-    """The run in a directory, trained to its end."""
+    """Returns the run in a directory, trained to its end."""
     run = session.resume(directory, whole.config, whole.seeds if len(whole.seeds) > 1 else None)
     run.train()
     return run
@@ -183,7 +183,7 @@ def test_a_run_that_ends_in_its_lessons_goes_on_as_if_it_had_not(
             run.train()
     (tmp_path / "run" / "lessons" / f"{after + 1}.pt").write_bytes(
         b"half a lesso"
-    )  # whose checkpoint never came
+    )  # its checkpoint was never written
     assert run.interactions == after * 512
     other = continued(whole, tmp_path / "run")
     assert_same(whole, other)

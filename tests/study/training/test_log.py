@@ -19,7 +19,7 @@ BATCH = 24
 
 
 def charts(directory: Path) -> dict[str, list[tuple[int, float]]]:
-    """What TensorBoard shows."""
+    """Returns TensorBoard's scalars."""
     events = EventAccumulator(str(directory))
     events.Reload()
     tags = events.Tags()["scalars"]
@@ -39,7 +39,7 @@ def record(seeds: int, cases: int, generator: torch.Generator) -> Episodes:
 
 
 def ended(seed: int, reward: float) -> Monitor:
-    """A monitor of one seed that saw an episode end."""
+    """Returns a monitor of one seed that saw an episode end."""
     monitor = Monitor(("near",), 1, seed)
     monitor.steps += BATCH
     monitor.count(violated=torch.tensor([6 * (1 + seed)]), any_violated=torch.tensor(6 * (1 + seed)))
@@ -50,7 +50,7 @@ def ended(seed: int, reward: float) -> Monitor:
 
 
 def quiet() -> Monitor:
-    """A monitor that saw no episode end."""
+    """Returns a monitor that saw no episode end."""
     monitor = Monitor(("near",))
     monitor.steps += BATCH
     monitor.count(violated=torch.tensor([0]), any_violated=torch.tensor(0))
@@ -77,7 +77,7 @@ def test_an_update_is_shown_for_all_and_for_each_seed(tmp_path: Path) -> None:
         expected = "success 100 %, reward 3.00, dv 3.0 m/s, violation 3.0 %"
         assert log.bar.postfix == expected
         seconds = {"time/rollout_s": 1.0, "time/learning_s": 1.0}
-        log.update([(dict(seconds), quiet())], 2 * BATCH)  # no episode ended: the bar keeps what it shows
+        log.update([(dict(seconds), quiet())], 2 * BATCH)  # no episode ended: the bar keeps its text
         assert log.bar.postfix == expected
         log.update([(seconds | {LESSON: 1.0}, quiet())], 2 * BATCH)
         assert log.bar.postfix == "learning from the guidance"
@@ -121,7 +121,7 @@ def test_an_evaluation_is_a_line_and_a_chart_for_each_seed(
 
 @pytest.fixture
 def killed(tmp_path: Path) -> Log:
-    """The log of a run that was killed in the midst of its fourth evaluation."""
+    """Returns the log of a run that was killed during its fourth evaluation."""
     log = Log(tmp_path, [tmp_path], BATCH)
     lines = [json.dumps({"interactions": k * BATCH, "seed": seed}) for k in (1, 2, 3) for seed in (0, 1)]
     log.evaluations.write_text("\n".join(lines) + '\n{"interactions": 24, "se')

@@ -17,7 +17,7 @@ SEEDS, BATCH, CALLS = 2, 6, 3
 
 
 def correction(generator: torch.Generator) -> FilterResult:
-    """What a filter did at random."""
+    """Returns a random correction."""
     status = torch.randint(len(Status), (BATCH,), generator=generator)
     slack = torch.randn(len(NAMES), BATCH, generator=generator, dtype=torch.float64).clamp(min=0.0)
     return FilterResult(
@@ -33,7 +33,7 @@ def correction(generator: torch.Generator) -> FilterResult:
 
 
 def transition(generator: torch.Generator, ending: bool = True, filtered: bool = True) -> Transition:
-    """What the environment did at random."""
+    """Returns a random transition."""
     ended, truncated = torch.rand(2, BATCH, generator=generator) < (0.3 if ending else 0.0)
     numbers = torch.randn(9, BATCH, generator=generator, dtype=torch.float64)
     return Transition(
@@ -63,7 +63,7 @@ def seen(generator: torch.Generator) -> list[Transition]:
 
 
 def count(transitions: list[Transition]) -> dict[str, float]:
-    """The scalars, counted by hand, without those of episodes."""
+    """Returns the scalars, counted by hand, without those of episodes."""
     shares = defaultdict(list)
     for each in transitions:
         for column in range(BATCH):
@@ -132,7 +132,7 @@ def test_behind_the_filter_only_limits_that_broke_are_named(generator: torch.Gen
 
 
 def ending(*columns: int, outcome: str, reward: float) -> Transition:
-    """An interaction after which these episodes ended."""
+    """Returns an interaction after which these episodes ended."""
     done = torch.zeros(BATCH, dtype=torch.bool).index_fill(0, torch.tensor(columns, dtype=torch.int64), True)
     return replace(
         transition(torch.Generator().manual_seed(0), filtered=False),

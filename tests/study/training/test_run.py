@@ -28,7 +28,7 @@ def tiny(
     action_period: float = 10.0,
     **train: object,
 ) -> Config:
-    """A run of 6 updates that takes a few seconds; the filter's and the agent's period in s."""
+    """Returns a run of 6 updates that takes a few seconds; the filter's and the agent's period in s."""
     tables = {
         "train": {
             "rta": False,

@@ -58,7 +58,7 @@ pytestmark = pytest.mark.usefixtures("small_pools")
 
 @pytest.fixture(scope="module")
 def settings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The configuration of a run of six updates, with a checkpoint after every other."""
+    """Returns the configuration of a run of six updates, with a checkpoint after every other."""
     path = tmp_path_factory.mktemp("session") / "tiny.toml"
     path.write_text(SETTINGS)
     return path
@@ -66,7 +66,7 @@ def settings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def whole(settings: Path, small_pools: None) -> Path:
-    """The directory of that run, which nothing interrupted."""
+    """Returns the directory of that run, which nothing interrupted."""
     directory = settings.parent / "whole"
     assert main.main(["train", "--config", str(settings), "--run-dir", str(directory)]) == 0
     return directory
@@ -109,7 +109,7 @@ def limits() -> Iterator[None]:
 
 
 def one_line(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    """The line of the error, which is the only one and the last."""
+    """Returns the error's line, which must be the only one and the last."""
     err = capsys.readouterr().err
     line = err.splitlines()[-1]
     assert line.startswith("error: ") and err.count("error: ") == 1 and "Traceback" not in err, err
@@ -191,7 +191,7 @@ def test_a_live_run_is_nobody_elses_until_a_kill_in_the_midst_of_a_save(
     run = tmp_path / "run"
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     job = subprocess.Popen([sys.executable, "-c", JOB, str(settings), str(run)], cwd=ROOT, text=True, **pipes)
-    for _ in range(3):  # what is trained, and what is to come
+    for _ in range(3):  # the lines about the run and its plan
         job.stdout.readline()
     child = int(job.stdout.readline())
     try:
@@ -227,7 +227,7 @@ def test_an_interrupt_before_the_first_checkpoint_hinders_nobody(
         patch.setattr(training.Run, moment, interrupted)
         assert main.main(arguments) == 130
     assert capsys.readouterr().err == "interrupted\n"
-    assert (tmp_path / "run").exists() == (moment == "save")  # what can be refused leaves nothing
+    assert (tmp_path / "run").exists() == (moment == "save")  # before `save` nothing is written
     assert main.main([*arguments, "--interactions", "1"]) == 0
 
 

@@ -50,7 +50,7 @@ minibatch_size = 8
 
 @pytest.fixture(scope="module")
 def settings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The configuration of a study of 3 updates that takes a few seconds."""
+    """Returns the configuration of a study of 3 updates that takes a few seconds."""
     path = tmp_path_factory.mktemp("study") / "tiny.toml"
     path.write_text(SETTINGS)
     return path
@@ -58,20 +58,20 @@ def settings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def whole(settings: Path, small_pools: None) -> Path:
-    """The directory of a study that nothing interrupted."""
+    """Returns the directory of a study that nothing interrupted."""
     directory = settings.parent / "whole"
     assert main.main(["study", "--config", str(settings), "--study-dir", str(directory)]) == 0
     return directory
 
 
 def evaluations(directory: Path) -> list[dict[str, Any]]:
-    """The periodic evaluations, without the time they took."""
+    """Returns the periodic evaluations, without the time they took."""
     lines = (directory / "evaluations.jsonl").read_text().splitlines()
     return [{name: value for name, value in json.loads(line).items() if name != "seconds"} for line in lines]
 
 
 def scalars(directory: Path) -> dict[str, list[tuple[int, float]]]:
-    """The episodes' charts that TensorBoard shows."""
+    """Returns the episodes' charts that TensorBoard shows."""
     events = EventAccumulator(str(directory))
     events.Reload()
     tags = [tag for tag in events.Tags()["scalars"] if tag.startswith(("episode/", "evaluation/"))]
@@ -80,7 +80,7 @@ def scalars(directory: Path) -> dict[str, list[tuple[int, float]]]:
 
 
 def same(one: Any, other: Any) -> bool:
-    """Bit-for-bit equality of nested dictionaries and lists of tensors and plain values."""
+    """Tells whether nested dictionaries and lists of tensors and plain values are equal bit for bit."""
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
     if isinstance(one, list):

@@ -20,7 +20,7 @@ def flown(
     number: Tensor | None = None,
     first: int = 0,
 ) -> SimpleNamespace:
-    """The record and the tape of a flight, and their tensors: `violating`, `status`, `applied`, ..."""
+    """Returns the record and the tape of a flight, and their tensors: `violating`, `status`, `applied`, ..."""
     tape = Tape(duration, first)
     number = torch.zeros_like(x[0]) if number is None else number
     record = fly(env, controller, Starts(x, priority, number), duration, [tape])

@@ -49,7 +49,7 @@ def test_adversary_descends_the_row_that_zero_control_comes_closest_to_breaking(
     a, b, *_ = safety.program.evaluated(tensor(x))
     worst = (b[:7] / a[:7, :3].norm(dim=1)).argmin(0).numpy()
     seen = 0
-    for row in (0, 1, 2, 4, 5, 6):  # whose slopes differences find
+    for row in (0, 1, 2, 4, 5, 6):  # rows whose slopes can be found by differences
 
         def h(y: ndarray, row: int = row) -> ndarray:
             return paper(y)[row]
@@ -68,7 +68,7 @@ SIZES = torch.tensor([0.1] * 3 + [1e-3] * 3 + [1e-3] * 3 + [1e-4] * 3, dtype=tor
 
 
 def lowered(x: torch.Tensor, u: torch.Tensor) -> np.ndarray:
-    """What `Greedy` lowers, thrust's and torque's smallest h, in calls, of those attacked, a second on."""
+    """Returns J, which `Greedy` lowers: thrust's and torque's smallest attacked h a second later, in calls."""
     h = SafetyFilter(C, R).values(step(x, u, 1.0, C)).numpy() / np.array(scales(C, 1.0))[:, None]
     h = np.where(attacked(EACH), h, np.inf)
     return h[:7].min(0) + h[7:].min(0)
@@ -76,7 +76,7 @@ def lowered(x: torch.Tensor, u: torch.Tensor) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def pressed() -> tuple[torch.Tensor, torch.Tensor]:
-    """States and what is held there."""
+    """Returns states and the held controls there."""
     x = tensor(flights(112, (100, 700), (0.05, 0.5)))
     return x, 0.5 * tensor(LIMIT) * (
         2.0 * torch.rand(6, 112, generator=torch.Generator().manual_seed(2)) - 1.0

@@ -32,7 +32,7 @@ def nominal() -> Experiment:
 
 @pytest.fixture(scope="module")
 def near(nominal: Experiment) -> limits.NearLimits:
-    """States with gaps that few bisections find."""
+    """Returns states with gaps that few bisections find."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(limits, "BISECTIONS", (4, 10))
         patch.setattr(limits, "GAP", (1e-3, 1e-1))

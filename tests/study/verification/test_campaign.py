@@ -24,7 +24,7 @@ EXPERIMENT = Experiment(override(Config(), {"train": {"compile": "off", "device"
 
 
 class Flown(Exception):
-    """Raised in place of a flight."""
+    """Signals a flight that would begin."""
 
 
 def test_starts_and_first_controls_share_no_number(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,7 +31,7 @@ pytestmark = pytest.mark.usefixtures("small_pools")
 
 @pytest.fixture(scope="module")
 def violated(small_pools: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A report with violations: four times as heavy and 2 m/s off what the filter believes, asked every 10 s."""
+    """Returns a report with violations: mass 4 times and velocity 2 m/s off the filter's values, called every 10 s."""
     import main
 
     path = tmp_path_factory.mktemp("violated") / "report.json"
@@ -82,7 +82,7 @@ def test_a_flight_again_that_comes_out_otherwise_fails(
 
 
 def rounded(correct: Callable[..., FilterResult], x: Tensor, desired: Tensor) -> FilterResult:
-    """The answer of a program that ends a little elsewhere."""
+    """Returns the answer of a program with slightly different rounding."""
     answer = correct(x, desired)
     return replace(answer, control=answer.control + 1e-10)  # 1e-7 of the torque
 

@@ -20,7 +20,7 @@ def verify(path: Path, *more: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report of a finished campaign."""
+    """Returns the report of a finished campaign."""
     import main
 
     path = tmp_path_factory.mktemp("verify") / "report.json"

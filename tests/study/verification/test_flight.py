@@ -23,12 +23,12 @@ from tests.study.verification.flown import flown
 from tests.support.flights import FILTER, LIMIT, fly
 
 C = InspectionParameters()
-SECONDS, DECIDE = 24, 2  # of an episode, and between two decisions
+SECONDS, DECIDE = 24, 2  # s of an episode, and between two decisions
 
 
 @functools.cache
 def lax() -> SafetyFilter:
-    """A filter that believes in wider limits than those that are counted."""
+    """Returns a filter that believes in wider limits than those that are counted."""
     wide = dataclasses.replace(
         C, docking_speed=0.4, speed_slope=0.008, max_temperature=11.0, min_energy=0.5, field_of_view=0.5
     )
@@ -37,7 +37,7 @@ def lax() -> SafetyFilter:
 
 @functools.cache
 def six_episodes() -> SimpleNamespace:
-    """Six episodes that decide every 2 s and are filtered every second, next to the filter's limits or beyond them."""
+    """Returns six episodes that decide every 2 s and are filtered every second, next to or beyond the limits."""
     safety = Safety(CONSTRAINTS, FILTER.values, None, lax().correct, 1.0)
     env = InspectionEnv(6, C, [torch.Generator().manual_seed(0)], safety, DECIDE, 1.0)
     x, priority, _ = safe_set(6, 36, FILTER)
@@ -48,7 +48,7 @@ def six_episodes() -> SimpleNamespace:
 
 
 def recount(flight: SimpleNamespace, column: int) -> dict[str, ndarray]:
-    """One episode again, second by second, from its start and what the policy desired every 2 s."""
+    """Repeats one episode, second by second, from its start and the policy's desired controls every 2 s."""
     safety, x = lax(), flight.starts.x[:, column : column + 1].numpy()
     states, statuses, backups, largest = [x], [], [], 0.0
     u = np.zeros((6, 1))
@@ -76,7 +76,7 @@ def recount(flight: SimpleNamespace, column: int) -> dict[str, ndarray]:
 
 @functools.cache
 def recounted() -> list[dict[str, ndarray]]:
-    """Each of the six episodes."""
+    """Returns each of the six episodes."""
     return [recount(six_episodes(), column) for column in range(6)]
 
 

@@ -34,13 +34,13 @@ WORLD = {
 
 @functools.cache
 def experiment(world: bool) -> Experiment:
-    """In the model, or in a plant of which the filter knows nothing."""
+    """Returns an experiment in the model, or in a plant that the filter does not know."""
     tables = {"train": {"compile": "on", "device": "cpu"}, "plant": WORLD if world else {}}
     return Experiment(override(Config(), tables, "test"), EPISODES * CANDIDATES, seconds=1.0)
 
 
 def flown(world: bool, looking: bool, duration: float = 10.0) -> tuple[SimpleNamespace, InspectionEnv]:
-    """The same starts and plants under lookahead or random controls."""
+    """Flies the same starts and plants under lookahead or random controls."""
     here = experiment(world)
     env = here.env(EPISODES, None, 1.0, 1.0)
     x, priority, _ = initial_states(EPISODES, 3, here.filter)
@@ -136,14 +136,14 @@ def test_the_command_line_flies_and_continues_it(tmp_path: Path, capsys: pytest.
 
 @functools.cache
 def at_worst() -> Experiment:
-    """In a plant at its corners, of which the filter knows nothing."""
+    """Returns an experiment in a plant with worst errors that the filter does not know."""
     gains = {"errors": "worst", "thrust_gain": [0.8, 1.2], "missed_in_a_row": 2}
     tables = {"train": {"compile": "on", "device": "cpu"}, "plant": WORLD | gains}
     return Experiment(override(Config(), tables, "test"), EPISODES * CANDIDATES, seconds=1.0)
 
 
 def choosing(batch: int, horizon: int) -> tuple[InspectionEnv, Lookahead, tuple[Tensor, Tensor, Tensor]]:
-    """An environment, the adversary of its world and of its controls, and starts."""
+    """Returns an environment, the adversary of its world and of its controls, and starts."""
     here = at_worst()
     env, tried = (here.env(count, None, 1.0, 1.0) for count in (batch, batch * CANDIDATES))
     greedy = Greedy(here.filter, attacked(torch.arange(batch)))

@@ -23,7 +23,7 @@ COUNT = 1500
 
 
 class Programs(SafetyFilter):
-    """A filter that knows no way to rest: its starts are those in which every h and every Psi_1 is non-negative."""
+    """Acts as a filter without a backup trajectory: it accepts starts with every h and every Psi_1 non-negative."""
 
     def __init__(self) -> None:
         super().__init__(C, R)
@@ -31,7 +31,7 @@ class Programs(SafetyFilter):
 
 
 class Everything(Programs):
-    """A filter that keeps every state, to see what is drawn."""
+    """Acts as a filter that accepts every state, to see the drawn ones."""
 
     def is_safe(self, x: Tensor) -> Tensor:
         return torch.ones(x.shape[1], dtype=torch.bool)
@@ -116,4 +116,4 @@ def test_rejection_leaves_starts_near_every_limit(start: tuple[ndarray, ndarray]
 def test_starts_of_a_filter_that_knows_a_way_are_the_states_that_have_one() -> None:
     x, _, left_out = safe_set(300, 0, FILTER)
     assert FILTER.is_safe(x).all() and (FILTER.values(x) >= 0.0).all()
-    assert 0 < left_out < 60  # that keep every limit, and have none
+    assert 0 < left_out < 60  # states within all limits without a backup trajectory

@@ -20,7 +20,7 @@ ALL = torch.ones(6, dtype=torch.bool)
 
 
 def added(report: dict[str, Any], chosen: Tensor = ALL, **origin: int) -> dict[str, Any]:
-    """The six episodes, of columns 3 to 8 of a batch, or some of them added to a report."""
+    """Returns the six episodes, of columns 3 to 8 of a batch, or some of them added to a report."""
     flight = six_episodes()
     tally.add(report, flight.record, flight.tape, chosen, ORIGIN | origin)
     return report

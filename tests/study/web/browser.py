@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-NAMES = {  # of vocabularies and in comments, which nothing is asked for
+NAMES = {  # names of vocabularies and in comments, which are never requested
     "http://www.w3.org/1999/xhtml",
     "http://www.w3.org/2000/svg",
     "https://threejs.org",
@@ -18,7 +18,7 @@ NAMES = {  # of vocabularies and in comments, which nothing is asked for
 
 
 def asks_nothing(text: str) -> None:
-    """A page's policy lets no request out, it names no other place, and its own scripts call nothing that asks."""
+    """Checks that a page's policy forbids requests, that it names no other place, and that its scripts make none."""
     policy = re.search(r'<meta http-equiv="Content-Security-Policy" content="([^"]*)">', text)
     first = min(text.find(each) % len(text) for each in ("<script", "<style", "<img"))
     assert policy and policy.start() < first
@@ -33,7 +33,7 @@ def asks_nothing(text: str) -> None:
 
 
 class Browser:
-    """A page in headless Chromium, what it printed and what it asked for."""
+    """Holds a page in headless Chromium, its console output and its requests."""
 
     def __init__(self, chromium: Any, path: Path, width: int, height: int, first: str = "") -> None:
         self.page = chromium.new_page(viewport={"width": width, "height": height})
@@ -57,7 +57,7 @@ class Browser:
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
-    """A browser, where there is one."""
+    """Yields a browser, or skips the test if there is none."""
     playwright = pytest.importorskip(
         "playwright.sync_api", reason="playwright is not installed (requirements-optional.txt)"
     )

@@ -41,7 +41,7 @@ Flight = dict[str, Any]
 
 
 def fly(*flights: Flight) -> list[Flight]:
-    """What `fly.js` says of flights of the page."""
+    """Returns the output of `fly.js` for flights of the page."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("there is no Node here")
@@ -56,12 +56,12 @@ def of_world(world: float | str) -> Flight:
 
 
 def columns(calls: list[Flight], name: str) -> torch.Tensor:
-    """(size, calls)"""
+    """Returns an array (size, calls)."""
     return torch.tensor([call[name] for call in calls], dtype=torch.float64).T
 
 
 def controls(flight: Flight) -> np.ndarray:
-    """The controls (seconds, 6), with errors and corners (seconds, 25), that a flight saves."""
+    """Returns the controls (seconds, 6), with errors and corners (seconds, 25), that a flight saves."""
     return np.load(io.BytesIO(base64.b64decode(flight["saved_controls"])))
 
 
@@ -88,14 +88,14 @@ def flights() -> dict[float | str, list[Flight]]:
 
 
 def filtered(world: float | str) -> SafetyFilter:
-    """The page's filter, solved as its C does."""
+    """Returns the page's filter, solved as its C does."""
     if world == "errors":
         return batched(filter_of(U1))
     return batched(filter_of(replace(C, rta=replace(C.rta, period=world))))
 
 
 def sent(flight: Flight) -> torch.Tensor:
-    """(1, 6, calls) what had been held since the state was measured that a call saw, NaN where it was new."""
+    """Returns the controls (1, 6, calls) held since the state that a call saw was measured, NaN if it was new."""
     held = columns(flight["calls"], "control")
     return torch.cat((torch.full_like(held[:, :1], torch.nan), held[:, :-1]), 1)[None]
 
@@ -114,7 +114,7 @@ def test_the_filter_answers_as_in_python(
     np.testing.assert_array_equal(result.verified, verified)
     np.testing.assert_array_equal(result.backup, backup)
     np.testing.assert_array_equal(result.active, columns(calls, "active"))
-    given = ~torch.tensor([call["missed"] for call in calls])  # what else was answered is not
+    given = ~torch.tensor([call["missed"] for call in calls])  # the other calls were missed
     apart = ((columns(calls, "control") - result.control).T.numpy() / LIMIT)[given].T
     assert apart.shape[1] > 100 and np.abs(apart[TORQUE]).max() < 1e-8
     # the browser's sine and cosine have other last digits, which rows through ten seconds may multiply

@@ -27,7 +27,7 @@ NUMBER = r"-?\d+(?:\.\d+)?(?:e-?\d+)?"
 
 
 def inside(text: str, name: str) -> str:
-    """What a page holds under a name."""
+    """Returns a page's value of a name."""
     found = re.search(rf'id="{name}">(.*?)</script>', text, re.DOTALL)
     assert found
     return found[1]
@@ -116,7 +116,7 @@ def opened(chromium: Any) -> Browser:
 
 
 def seconds(browser: Browser, count: int) -> dict[str, Any]:
-    """What has become of the flight so many seconds later, the clock of the page standing still."""
+    """Flies so many seconds with the page's clock standing still; returns outcome and violations."""
     script = """count => {
         pause(true);
         for (let i = 0; i < count; i++) { play.flight.second(); play.scene.renew(play.flight); }

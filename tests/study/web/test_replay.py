@@ -26,19 +26,19 @@ Files = tuple[Path, Path]
 
 
 def embedded(page: str) -> dict[str, Any]:
-    """A page's data."""
+    """Returns a page's data."""
     found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
     assert found
     return json.loads(found[1])
 
 
 def content(*paths: Path, rows: int = replay.MAX_ROWS) -> dict[str, Any]:
-    """What the page holds of runs."""
+    """Returns the page's content for runs."""
     return embedded(replay.document([replay.read(str(path), rows) for path in paths]))
 
 
 def panel(shown: dict[str, Any], title: str) -> list[list[float]]:
-    """The values of a panel's first line, by run."""
+    """Returns the values of a panel's first line, by run."""
     (found,) = [
         each["runs"]
         for section in shown["sections"].values()
@@ -157,7 +157,7 @@ def test_points_in_the_meshs_own_shade_are_not_shown_as_lit(beside: dict[str, Pa
 
 
 class Shown(Browser):
-    """A replay."""
+    """Drives a replay in the browser."""
 
     def scrub(self, t: float) -> None:
         """Moves the slider as a hand would."""
@@ -169,7 +169,7 @@ class Shown(Browser):
         return float(self.page.locator("#scrub").input_value())
 
     def scene(self, i: int = 0) -> Arrays:
-        """Where things of a scene are in Hill's frame: places in m and directions."""
+        """Returns the positions in m and directions of a scene's objects in Hill's frame."""
         script = """i => {
             const film = films[i], { craft, camera } = film, line = film.trail.geometry;
             film.scene.updateMatrixWorld(true);
@@ -202,7 +202,7 @@ class Shown(Browser):
 
 @pytest.fixture(scope="module")
 def one(chromium: Any, flown_files: Files) -> Shown:
-    """One run at desktop width."""
+    """Returns one run at desktop width."""
     out = flown_files[0].with_suffix(".html")
     replay.write([str(flown_files[0])], out)
     return Shown(chromium, out, 1280, 900)
