@@ -378,11 +378,11 @@ def add_flags(
     """
     group = parser.add_argument_group(
         "settings",
-        "over those of an agent's run and those of --config; every other setting also has a flag, --table.key VALUE "
-        "(`python main.py config` prints all)",
+        "flags replace the settings of --config files, which replace those of an agent's run; every other setting also "
+        "has a flag, --table.key VALUE (`python main.py config` prints all)",
     )
     add = group.add_argument
-    text = "TOML file, or the name of one that comes with the code (12u, plants/u1); several are read in their order"
+    text = "TOML file, or the name of a shipped one (12u, plants/u1); of several, later files replace earlier ones"
     add("--config", action="append", default=[], metavar="FILE", help=text)
     tables = {table: part for table, part in vars(config).items() if isinstance(part, Settings)}
     every = {
