@@ -722,11 +722,12 @@ def run_export(given: Namespace) -> None:
     settings=(*TRAINED, "study"),
 )
 def run_config(given: Namespace) -> None:
+    from study.experiment import load_policy
+
+    base = StudyConfig()
     if given.checkpoint:
-        _, config = agent_and_config(given)
-    else:
-        config = configured(given, StudyConfig())
-    print(to_toml(config), end="")
+        base = StudyConfig(**vars(load_policy(given.checkpoint)[1].with_solver("auto")))
+    print(to_toml(configured(given, base)), end="")
 
 
 def build_parser() -> Parser:

@@ -10,7 +10,7 @@ import math
 import os
 import tomllib
 import typing
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import Field, dataclass, field, fields
 from difflib import get_close_matches
@@ -198,8 +198,8 @@ def find(name: str) -> Path:
     paths = {path.relative_to(CONFIGS).with_suffix("").as_posix(): path for path in CONFIGS.rglob("*.toml")}
     key = name.removesuffix(".toml").removeprefix(f"{CONFIGS.name}/")
     found = [path for own, path in paths.items() if own == key or own.endswith(f"/{key}")]
-    if len(found) == 1:
-        return found[0]
+    if key in paths or len(found) == 1:
+        return paths.get(key, found[0])
     if found:
         several = ", ".join(sorted(own for own in paths if own.endswith(f"/{key}")))
         raise InputError(f"{name}: could be any of {several}; give one of these")
@@ -211,17 +211,23 @@ def find(name: str) -> Path:
     )
 
 
-def from_toml(text: str, source: str, base: Configuration) -> Configuration:
+def from_toml(
+    text: str,
+    source: str,
+    base: Configuration,
+    change: Callable[[dict[str, Any]], dict[str, Any]] = lambda tables: tables,
+) -> Configuration:
     """Reads TOML text over a base; tables that only a study has are ignored for the base of an experiment.
 
     Args:
         source: the name of the text in an error, usually the file's path.
+        change: of the tables, before they are read.
 
     Raises:
         InputError: see `load`.
     """
     try:
-        tables = tomllib.loads(text)
+        tables = change(tomllib.loads(text))
     except (ValueError, RecursionError) as error:  # ValueError also for an integer that is too long to read
         reason = str(error).partition("; use sys.")[0]
         raise InputError(f"{source}: not valid TOML: {reason}") from None

@@ -15,15 +15,14 @@ from rta.names import CONSTRAINTS
 from rta.parameters import RtaParameters
 from settings import Settings, from_toml, override, setting
 
-# keys that earlier versions recorded and that no longer exist
+# Keys that runs of earlier versions recorded. Those of a removed feature are passed over only where it was off.
 RETIRED = re.compile(
     r"rows|(collision|speed|keep_in|passive_safety|velocity|rate)_gain|(exclusion|temperature|battery)_gains"
     r"|(collision|keep_in|passive_safety|exclusion|temperature|battery|rate)_margin"
     r"|passive_safety_(doubling|segments)|incidence_rounding|distance_floor|pole_angle"
-    r"|slack_weight_(critical|resource|motion)|health|saturates_rates"
-    r"|orbit|eccentricity|sun_from_perigee|gravitational_parameter|action_dead_zone"
+    r"|slack_weight_(critical|resource|motion)|health|saturates_rates|sun_from_perigee|gravitational_parameter"
 )
-RETIRED_LINE = re.compile(rf"(?m)^(rta\.)?({RETIRED.pattern}) = .*\n")
+RETIRED_OFF = {"orbit": "clohessy-wiltshire", "eccentricity": 0.0, "action_dead_zone": 0.0}
 MAX_COUNT = 10**12
 LEARN_FROM = ("desired", "applied")
 MAX_SEEDS = 1000  # in a study; all seeds share the memory
@@ -209,13 +208,18 @@ AnyConfig = TypeVar("AnyConfig", bound=Config)
 
 
 def recorded(text: str, source: str, base: AnyConfig) -> AnyConfig:
-    """Reads the configuration of a finished run as `from_toml`, but ignores RETIRED keys."""
-    return from_toml(RETIRED_LINE.sub("", text), source, base)
+    """Reads the configuration of a finished run, as `from_toml`, without retired keys."""
+    return from_toml(text, source, base, of_today)
 
 
 def of_today(tables: dict[str, Any]) -> dict[str, Any]:
-    """Returns the tables of a report's configuration without RETIRED keys."""
+    """Returns the tables of a recorded configuration without retired keys, at any depth."""
+
+    def kept(key: str, value: Any) -> bool:
+        return not RETIRED.fullmatch(key) and (key not in RETIRED_OFF or value != RETIRED_OFF[key])
+
     return {
-        name: {key: value for key, value in table.items() if not RETIRED.fullmatch(key)}
-        for name, table in tables.items()
+        key: of_today(value) if isinstance(value, dict) else value
+        for key, value in tables.items()
+        if isinstance(value, dict) or kept(key, value)
     }

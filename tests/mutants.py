@@ -12,6 +12,7 @@ by a library of before.
 
 import argparse
 import ast
+import hashlib
 import os
 import re
 import shutil
@@ -46,6 +47,10 @@ inspection/chief/hull.py clearance planes_of | inspection/chief/test_hull.py
 inspection/chief/tumbling.py Tumbling.moved Tumbling.step | inspection/chief/test_tumbling.py -k adaptive
 inspection/reward.py distance_from_track orientation rewards | inspection/test_observation_and_reward.py
 inspection/observation.py observe | inspection/test_observation_and_reward.py
+inspection/termination.py outcome_of | inspection/test_environment.py -k names_the_outcome
+inspection/termination.py failures | inspection/test_observation_and_reward.py
+inspection/sight.py Sight.update_inspected | inspection/test_environment.py -k observation_points_at
+inspection/privileged.py privileged | inspection/test_privileged.py
 inspection/environment.py InspectionEnv.step | inspection/test_environment.py
 inspection/closed_loop.py Smallest.note closed_loop | inspection/test_closed_loop.py
 inspection/initial_state.py sample_initial_state | inspection/test_initial_state.py
@@ -74,9 +79,12 @@ rta/check/terminal_set.py TerminalSet.room hold_error | rta/check/test_terminal.
 rta/check/early_accept.py EarlyAccept.attitude EarlyAccept.motion | rta/check/test_early_accept.py
 rta/check/commit.py Check.share | rta/check/test_nominal_check.py -k first_safe_share
 rta/check/intersample_bounds.py between clearance | rta/check/test_intersample_bounds.py
+rta/check/nominal.py NominalCheck.__init__ | rta/test_filter.py -k clamp
+rta/check/commit.py Check.replaced | rta/check/test_nominal_check.py -k fail_later
 rta/robust/filter.py RobustFilter.answer RobustFilter.largest_rate | rta/robust/test_robust_filter.py
 rta/robust/terminal_set.py RobustTerminalSet.tuned | rta/robust/test_robust_terminal_set.py
 rta/robust/error_tube.py between | rta/robust/test_error_tube.py
+rta/robust/check.py RobustCheck.with_own | rta/robust/test_robust_motion_check.py -k some_values
 rta/robust/motion_check.py may_be_kept | rta/robust/test_robust_motion_check.py -k kept
 rta/robust/attitude_constants.py AttitudeConstants.dim | rta/robust/test_robust_attitude_check.py -k heat
 rta/robust/attitude_check.py followed hold_bounds law | rta/robust/test_robust_attitude_check.py
@@ -89,6 +97,10 @@ ppo/network.py Policy.forward Policy.shaped gaussian_entropy gaussian_log_prob |
 ppo/rollout.py as_applied collect | ppo/test_rollout.py
 ppo/lagrangian.py Multiplier.update | ppo/test_lagrangian.py
 ppo/distributed.py Ranks.share | ppo/test_distributed.py -k shares_cover
+kernels/operations/expressions.py evenly_apart | kernels/test_control.py -k one_column_picks
+kernels/operations/expressions.py Program.add Program.select | kernels/test_operations.py
+kernels/waiting.py refilled straight | kernels/test_control.py -k goes_round or lanes_are
+kernels/text.py Body.repeat | kernels/test_control.py -k bits_are or one_column
 kernels/operations/scalars.py arithmetic | kernels/test_operations.py
 kernels/compiled.py in_shares | kernels/test_compiled.py -k shares_cover
 study/flight/summary.py iqm stratified_summary upper_bound | study/flight/test_summary.py
@@ -98,6 +110,10 @@ study/verification/tally.py add | study/verification/test_tally.py
 study/verification/adversaries.py adversarial | study/verification/test_adversaries.py
 study/verification/starts.py states_of | study/verification/test_starts.py
 study/training/run.py Run.train | study/training/test_run.py
+study/training/adversary.py Adversary.turned | study/training/test_adversary.py -k nearness
+study/paper.py measured | study/test_paper.py
+interfaces/vector.py VectorInspection6DoF.step | interfaces/test_environment_interface.py
+experiments/field.py exposure | experiments/test_field.py
 study/training/monitor.py Exposure.__call__ | study/training/test_monitor.py
 """
 SIGNS = {ast.Add: ("+", "-"), ast.Sub: ("-", "+")}
@@ -183,7 +199,11 @@ def mutants_of(path: str, name: str, test: str, text: str) -> list[Mutant]:
             found.append(part(begin(node), end(node), repr(1.1 * node.value)))
         elif isinstance(node, ast.Call):
             if isinstance(node.func, ast.Attribute) and node.func.attr in CLAMPS:
-                found.append(part(code.rindex(b".", 0, end(node.func)), end(node), ""))
+                if isinstance(node.func.value, ast.Name) and node.func.value.id in ("torch", "np"):
+                    first = node.args[0]
+                    found.append(part(begin(node), end(node), code[begin(first) : end(first)].decode()))
+                else:
+                    found.append(part(code.rindex(b".", 0, end(node.func)), end(node), ""))
             names = [each for each in node.args if isinstance(each, ast.Name)]
             if len(names) > 1 and names[0].id != names[1].id:
                 one, other = names[:2]
@@ -249,6 +269,13 @@ def tested(test: str, tree: Path, patience: float | None = None) -> tuple[int, f
     return done.returncode, time.perf_counter() - started, found[1] if found else ""
 
 
+def key_of(mutant: Mutant) -> str:
+    """Returns what tells a mutant from others, and from itself in other code or before other tests."""
+    files = ROOT / mutant.path, ROOT / "tests" / mutant.test.partition(" -k ")[0]
+    content = str(mutant).encode() + b"".join(path.read_bytes() for path in files)
+    return hashlib.sha256(content).hexdigest()[:12]
+
+
 class Log:
     """Writes the outcome of each mutant as a line on stdout and in a file, from which a stopped run continues."""
 
@@ -256,12 +283,16 @@ class Log:
         self.path = path
         lines = path.read_text().splitlines() if path and path.exists() else []
         parts = [line.split("\t") for line in lines]
-        self.known = {mutant: outcome for outcome, _, mutant, *_ in parts if outcome in VERDICTS.values()}
+        self.known = {key: outcome for outcome, _, key, *_ in parts if outcome in VERDICTS.values()}
+
+    def outcome(self, mutant: Mutant) -> str:
+        """Returns what a mutant came to; empty where it was not tried."""
+        return self.known.get(key_of(mutant), "")
 
     def note(self, mutant: Mutant, outcome: str, seconds: float, failed: str) -> None:
         """Adds a mutant's line."""
-        line = "\t".join((outcome, f"{seconds:.0f} s", str(mutant), failed))
-        self.known[str(mutant)] = outcome
+        line = "\t".join((outcome, f"{seconds:.0f} s", key_of(mutant), str(mutant), failed))
+        self.known[key_of(mutant)] = outcome
         print(line, flush=True)
         if self.path:
             with self.path.open("a") as file:
@@ -277,7 +308,7 @@ def tried(group: Sequence[Mutant], tree: Path, log: Log) -> None:
             continue
         with planted(mutant, tree):
             came, seconds, by = tested(mutant.test, tree, SLOWER * sound + MORE)
-        log.note(mutant, VERDICTS.get(came, f"killed, exit code {came}"), seconds, by)
+        log.note(mutant, VERDICTS.get(came, f"no verdict, exit code {came}"), seconds, by)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -294,7 +325,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     log = Log(given.log)
     chosen = [mutant for mutant in mutants(given.each) if given.words in f"{mutant}\t{mutant.test}"]
-    todo = sorted((mutant for mutant in chosen if str(mutant) not in log.known), key=lambda each: each.test)
+    todo = sorted((mutant for mutant in chosen if not log.outcome(mutant)), key=lambda each: each.test)
     trees: SimpleQueue[Path] = SimpleQueue()
     with tempfile.TemporaryDirectory() as directory:
         for i in range(given.workers):
@@ -311,7 +342,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         with ThreadPoolExecutor(given.workers) as workers:
             list(workers.map(in_a_tree, groups))
     every = Counter(mutant.path for mutant in chosen)
-    killed = Counter(mutant.path for mutant in chosen if log.known.get(str(mutant), "").startswith("killed"))
+    killed = Counter(mutant.path for mutant in chosen if log.outcome(mutant).startswith("killed"))
     for path, count in every.items():
         print(f"{killed[path]:4d} of {count:4d} killed ({killed[path] / count:.0%}) in {path}")
     print(f"{killed.total():4d} of {every.total():4d} killed ({killed.total() / max(1, every.total()):.0%})")

@@ -24,9 +24,7 @@ FLAGS = {
     "train --no-rta --learn-from applied": ["--learn-from", "without the filter", "desired"],
     "train --num-envs 1_000_000_000 --no-rta --compile off": ["1,000,000,000 episodes", "not enough memory"],
     "train --run_dir=d --seed 3": ["unrecognized: --run_dir=d; did you mean --run-dir?"],
-    "evaluate --controller zero --total-timesteps 8": [
-        "unrecognized: --total-timesteps"
-    ],  # and has no such flag
+    "evaluate --controller zero --total-timesteps 8": ["unrecognized: --total-timesteps"],
     "train --interactions 1.5": ["--interactions", "'1.5'", "must be an integer"],
     "evaluate --controller zero --episodes 1e400": ["--episodes", "must be a positive integer"],
     "trian": ["no command 'trian'; did you mean train?"],

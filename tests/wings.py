@@ -91,10 +91,11 @@ def stands(wing: str, every_test: bool) -> bool:
             for name, command in commands.items()
         }
     said = (f"{name} {'yes' if run.returncode == 0 else 'NO'}" for name, run in done.items())
-    print(f"without {wing:14} {', '.join(said)}", flush=True)
+    lines = [f"without {wing:14} {', '.join(said)}"]
     for run in done.values():
         if run.returncode:
-            print("\n".join(f"    {line}" for line in (run.stdout + run.stderr).splitlines()[-5:]))
+            lines += [f"    {line}" for line in (run.stdout + run.stderr).splitlines()[-5:]]
+    print("\n".join(lines), flush=True)
     return all(run.returncode == 0 for run in done.values())
 
 
@@ -112,7 +113,7 @@ def main(words: list[str] | None = None) -> int:
     for wing in given.wings:
         if wing not in WINGS:
             parser.error(f"{wing}: must be one of {', '.join(WINGS)}")
-    with ThreadPoolExecutor(AT_ONCE) as workers:
+    with ThreadPoolExecutor(1 if given.all else AT_ONCE) as workers:
         return int(not all(list(workers.map(lambda wing: stands(wing, given.all), given.wings or WINGS))))
 
 

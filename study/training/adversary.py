@@ -32,8 +32,7 @@ class Adversary:
         self.env = env
         self.rows = [env.safety.names.index(name) for name in attacked]
         self.scale = env.x.new_tensor(scales(env.c, env.safety.period))[self.rows, None]
-        self.observation, self.state_dict = env.observation, env.state_dict
-        self.load_state_dict = env.load_state_dict
+        self.observation = env.observation
 
     def step(self, action: Tensor) -> Transition:
         """Does `InspectionEnv.step`, with this reward."""

@@ -94,7 +94,8 @@ def report_in(
         check_like(report, fresh | {"campaign": {}, "config": {}}, ("backup_calls", "fingerprint", "gains"))
         report.setdefault("backup_calls", 0)
         shown(report)
-    return report | {name: fresh[name] for name in ("campaign", "fingerprint", "config")}
+    kept = {name: report[name] for name in fresh if name in report}
+    return kept | {name: fresh[name] for name in ("campaign", "fingerprint", "config")}
 
 
 def of_the_same(before: dict[str, Any], config: Config, path: Path) -> bool:

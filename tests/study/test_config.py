@@ -106,6 +106,23 @@ def test_settings_that_filters_before_had_are_passed_over_in_records_alone() -> 
         from_toml(text, "text", Config())
 
 
+@pytest.mark.parametrize(
+    ("table", "key", "off", "on"),
+    [
+        ("inspection", "orbit", '"clohessy-wiltshire"', '"two-body"'),
+        ("inspection", "eccentricity", "0.0", "0.1"),
+        ("ppo", "action_dead_zone", "0.0", "0.1"),
+    ],
+)
+def test_a_record_of_a_removed_feature_is_read_only_where_the_feature_was_off(
+    table: str, key: str, off: str, on: str
+) -> None:
+    assert recorded(f"[{table}]\n{key} = {off}\n", "text", Config()) == Config()
+    assert recorded(f"[arms.a.{table}]\n{key} = {off}\n", "text", StudyConfig()).of_arm("a") == Config()
+    with pytest.raises(InputError, match=f"unknown key '{key}'"):
+        recorded(f"[{table}]\n{key} = {on}\n", "text", Config())
+
+
 def test_every_key_is_explained_and_read_back() -> None:
     config = override(
         StudyConfig(),

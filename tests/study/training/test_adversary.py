@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from ppo.rollout import collect
+from inspection.transition import Transition
 from rta.names import CONSTRAINTS
 from study.experiment import Experiment
 from study.scales import scales
@@ -65,8 +65,18 @@ def test_an_adversary_learns_from_its_own_reward(trained: Run) -> None:
     assert isinstance(again.rewarded, Adversary)
     for name, value in trained.state_dict()["policy"].items():
         assert torch.equal(value, again.state_dict()["policy"][name])
-    rewards = []
-    collect(again.rewarded, again.learner, 4, again.generators, lambda each: rewards.append(each.reward))
+    again.config = dataclasses.replace(
+        again.config, train=dataclasses.replace(again.config.train, interactions=3 * 32)
+    )
+    rewards: list[torch.Tensor] = []
+    watch = again.watch
+
+    def watching(transition: Transition) -> None:
+        rewards.append(transition.reward)
+        watch(transition)
+
+    again.watch = watching  # type: ignore[method-assign]
+    again.train()
     assert torch.cat(rewards).max() < 0.0  # nowhere beyond a limit; the task pays for points
 
 

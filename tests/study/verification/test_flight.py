@@ -15,7 +15,7 @@ from rta.fast.filter import batched, fast
 from rta.filter import SafetyFilter
 from rta.names import CONSTRAINTS
 from rta.parameters import RtaParameters
-from study.flight.fly import Limits
+from study.flight.fly import Limits, Progress
 from study.verification.adversaries import held_at_random
 from study.verification.starts import safe_set
 from tests.oracles import PSM_TOLERANCE, paper, tensor
@@ -91,6 +91,37 @@ def test_a_flight_counts_what_a_loop_of_its_own_counts() -> None:
         np.testing.assert_allclose(actual["excess"], expected["excess"], rtol=0, atol=1e-9)
         sharp = [i for i in range(13) if i != 3 and i < 10]
         np.testing.assert_array_equal(actual["when"][sharp], expected["when"][sharp])
+
+
+class Bar(SimpleNamespace):
+    """Keeps what a bar shows."""
+
+    n, text = 5.0, ""
+
+    def update(self, more: float) -> None:
+        self.n += more
+
+    def set_postfix_str(self, text: str, refresh: bool) -> None:
+        self.text = text
+
+
+def test_a_bar_shows_parts_of_flights_and_the_violations_of_all() -> None:
+    """Two batches of two episodes, in each of which one violates a limit, after five with one violation."""
+    env = SimpleNamespace(time=torch.zeros(2), c=SimpleNamespace(action_period=10.0))
+    limits = SimpleNamespace(violating=torch.tensor([[0.0, 0.0], [0.0, 3.0]]))
+    shown, both = Bar(), torch.ones(2, dtype=torch.bool)
+    progress = Progress(shown, 20.0, violating=1)
+    for done, violating in ((5.0, 2), (7.0, 3)):
+        progress.begin(env, limits)
+        for end in (10.0, 20.0):
+            progress.hold(SimpleNamespace(end=end), both)
+            assert (shown.n, shown.text) == (done + end / 10.0, f"{end:.0f} s flown, {violating} violating")
+    progress = Progress(shown)
+    progress.begin(env, limits)
+    progress.hold(SimpleNamespace(end=10.0), both)
+    assert shown.n == 9.0
+    progress.step(SimpleNamespace(done=torch.tensor([True, False]), steps=torch.tensor([3, 3])), both)
+    assert (shown.n, shown.text) == (10.0, "30 s flown, 1 violating")
 
 
 def test_nan_is_a_violation_without_end() -> None:
