@@ -12,9 +12,11 @@ import pytest
 
 import main
 from settings import (
+    CONFIGS,
     InputError,
     Settings,
     configured,
+    find,
     literal,
     load,
     override,
@@ -235,3 +237,8 @@ def test_what_is_no_integer_or_not_exactly_one_is_none(text: str) -> None:
         whole(text)
     with pytest.raises(argparse.ArgumentTypeError, match="must be a positive integer"):
         positive_integer(text)
+
+
+@pytest.mark.parametrize("name", ["from_nothing", "paper", "sweeps/paper"])
+def test_a_name_finds_the_file_of_just_this_name_first(name: str) -> None:
+    assert find(name) == CONFIGS / f"{name}.toml"
