@@ -303,6 +303,9 @@ def run_study(given: Namespace) -> None:
 
     directory = Path(given.study_dir)
     config = configured(given, read_settings(directory) or StudyConfig())
+    fixed = [name for name in config.study.arms if "rta" in config.all_arms[name].get("train", {})]
+    if "train.rta" in vars(given) and len(fixed) == len(config.study.arms):
+        raise InputError(f"--rta, --no-rta: the arms {', '.join(fixed)} say it; choose among them by --arms")
     set_threads(given.threads, recorded_threads(directory))
     print(train_and_evaluate(config, directory))
 

@@ -1,4 +1,4 @@
-"""The filter: it corrects a desired control minimally, and applies a control only after its check.
+"""The filter: it corrects a desired control minimally, and from an accepted state applies only checked controls.
 
 1. The paper's program (`rta.paper`) proposes a control, with gains that do not overshoot in a hold.
 2. The check (`rta.check`) simulates the hold of this control, then the backup laws up to their terminal set.

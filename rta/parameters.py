@@ -26,7 +26,7 @@ class RtaParameters(Settings):
         among=QP_SOLVERS,
     )
     unverified: bool = setting(
-        False, "fly what no check is known of, a vehicle or error bounds, behind the paper's program alone"
+        False, "fly a vehicle or error bounds for which no check is known, with the paper's program only"
     )
 
     def __post_init__(self) -> None:

@@ -78,12 +78,12 @@ class TrainParameters(Settings):
     )
     keep_clear: bool = setting(
         False,
-        "whether, behind a filter that is told of no bounds, what is desired is led so that two days of free flight "
-        "stay clear of the chief",
+        "change the desired control so that two days of free flight stay clear of the chief (only with the filter, "
+        "without error bounds)",
     )
     adversary: tuple[str, ...] = setting(
         (),
-        "constraints whose smallest h it lowers, in place of the task; left out, it learns the task",
+        "limits whose smallest h the agent is trained to lower, instead of the task; none: the task",
         among=CONSTRAINTS,
     )
 

@@ -28,6 +28,7 @@ FLAGS = {
     "train --interactions 1.5": ["--interactions", "'1.5'", "must be an integer"],
     "evaluate --controller zero --episodes 1e400": ["--episodes", "must be a positive integer"],
     "trian": ["no command 'trian'; did you mean train?"],
+    "study --no-rta --arms rta": ["--no-rta", "the arms rta say it", "--arms"],
     "study --seeds 9999": ["seeds = 9999", "at most 1,000"],
     "study --arms rta,both": ["--arms", "'both'", "no_rta, rta"],
     "study --study-dir /proc/nowhere": ["--study-dir", "cannot write there"],

@@ -37,8 +37,8 @@ class PlantParameters(Settings):
 
     errors: str = setting(
         "drawn",
-        "of all effects with bounds, within them (at random; held at a corner of the bounds for the episode; "
-        "at a corner that an adversary chooses at every call)",
+        "where the errors are within their bounds (at random; at a corner for the whole episode; at a corner that an "
+        "adversary chooses at every call)",
         among=HOW,
         note="How far it goes",
     )
