@@ -309,10 +309,15 @@ def open_settings() -> Rows:
             yield from rows(f"{columns}\n{label} <- learner/results:arms.{arm}")
 
 
-def beside_the_paper(lines: Iterable[str]) -> Rows:
+def papers_study() -> dict[str, Results]:
+    """Returns the agents with the settings of the paper's authors: without RTA, and with the paper's filter."""
+    return {"no_rta": read("learner/results")["arms"]["base"], "rta": read("paper/results")["arms"]["rta"]}
+
+
+def beside_the_paper(lines: Iterable[str], arms: dict[str, Results]) -> Rows:
     """Returns a row for each template: of each arm our number, then the paper's of the arms that it has."""
     columns = []
-    for arm, results in read("our_learner/results")["arms"].items():
+    for arm, results in arms.items():
         columns += [results, papers(arm)] if arm in ARMS else [results]
     return across(lines, *columns)
 
@@ -415,10 +420,24 @@ SPEED = (
     "to compile the filter with [uncertainty] for the first time | {compile_s.filter with [uncertainty]:.0f} s | ",
 )
 
+TABLE_2 = [
+    *(
+        f"{each.label} | {metric(name, f'.{each.digits}f', '{iqm} [{ci95.0}, {ci95.1}]')}"
+        for name, each in PAPER_METRICS.items()
+    ),
+    "Success (%) | {outcomes.success:.1%}",
+    "Clean success (%) | {outcomes.clean_success:.1%}",
+    "Any violation (mean % of steps) | {violations_percent.any:.3f}",
+    "Any violation (mean % of seconds) | {violations_percent_of_seconds.any:.3f}",
+]
+TABLE_3 = [f"{each.label} | {{violations_percent.{name}:.3f}}" for name, each in PAPER_VIOLATIONS.items()]
+
 TABLES: dict[str, str | Callable[[], Rows]] = {
     "front": """
         success | clean | violation | reward | time | fuel
         *the paper's agents {arm}* <- paper:{arm}
+        the paper's settings, 1 million interactions, without RTA <- learner/results:arms.base
+        the paper's settings, 1 million interactions, with the paper's filter <- paper/results:arms.rta
         our learner, the paper's task, without RTA <- our_learner/results:arms.no_rta
         our learner, the paper's task, with our filter <- our_learner/results:arms.rta
         ours, from nothing, without RTA <- from_nothing/results:arms.no_rta
@@ -428,21 +447,10 @@ TABLES: dict[str, str | Callable[[], Rows]] = {
     """,
     "kept": kept,
     "open_settings": open_settings,
-    "performance": lambda: beside_the_paper(
-        [
-            *(
-                f"{each.label} | {metric(name, f'.{each.digits}f', '{iqm} [{ci95.0}, {ci95.1}]')}"
-                for name, each in PAPER_METRICS.items()
-            ),
-            "Success (%) | {outcomes.success:.1%}",
-            "Clean success (%) | {outcomes.clean_success:.1%}",
-            "Any violation (mean % of steps) | {violations_percent.any:.3f}",
-            "Any violation (mean % of seconds) | {violations_percent_of_seconds.any:.3f}",
-        ]
-    ),
-    "violations": lambda: beside_the_paper(
-        f"{each.label} | {{violations_percent.{name}:.3f}}" for name, each in PAPER_VIOLATIONS.items()
-    ),
+    "performance": lambda: beside_the_paper(TABLE_2, read("our_learner/results")["arms"]),
+    "violations": lambda: beside_the_paper(TABLE_3, read("our_learner/results")["arms"]),
+    "papers_study": lambda: beside_the_paper(TABLE_2, papers_study()),
+    "papers_study_violations": lambda: beside_the_paper(TABLE_3, papers_study()),
     "papers_learning": lambda: learned(
         "our_learner", 0, 65_536, 163_840, 311_296, 507_904, 1_015_808, 3_014_656, 5_013_504
     ),

@@ -46,6 +46,7 @@ LABELS = {
     "rta_penalty": "filter, penalty on corrections",
     "rta_5s": "the same, every 5 s",
     "rta_10s": "the same, every 10 s",
+    "rta_paper": "the paper's filter, learns from the desired action",
 }
 
 

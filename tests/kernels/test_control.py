@@ -208,7 +208,7 @@ def test_functions_are_printed_once_by_their_python_names() -> None:
         "odd",
         "collatz_step",
     ]
-    assert "/* Half of it. */\nstatic void halved(M on, const V n[1], V result_0[1])" in text.parts[0]
+    assert "/* Returns half of it. */\nstatic void halved(M on, const V n[1], V result_0[1])" in text.parts[0]
 
 
 def test_functions_of_one_name_are_told_apart() -> None:
