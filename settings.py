@@ -221,7 +221,7 @@ def from_toml(
 
     Args:
         source: the name of the text in an error, usually the file's path.
-        change: of the tables, before they are read.
+        change: maps the tables to those that are read.
 
     Raises:
         InputError: see `load`.

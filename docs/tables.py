@@ -420,6 +420,14 @@ SPEED = (
     "to compile the filter with [uncertainty] for the first time | {compile_s.filter with [uncertainty]:.0f} s | ",
 )
 
+IN_BASILISK = """
+    flights | means
+    {label} | ours <- basilisk/basilisk:agents.{arm}.own
+    flights | means apart
+    {label} | Basilisk <- basilisk/basilisk:agents.{arm}.basilisk
+    {label} | with J2 and drag <- basilisk/basilisk:agents.{arm}.basilisk, J2 and drag
+    {label} | with wheels and pulses <- basilisk/basilisk:agents.{arm}.basilisk, wheels and pulses
+    """
 TABLE_2 = [
     *(
         f"{each.label} | {metric(name, f'.{each.digits}f', '{iqm} [{ci95.0}, {ci95.1}]')}"
@@ -587,20 +595,7 @@ TABLES: dict[str, str | Callable[[], Rows]] = {
         {position_m:.2g} | {position_median_m:.2g} | {attitude_deg:.2g} | {rate_rad_s:.1g}
         Basilisk itself with {} <- basilisk/basilisk:coasting.perturbed.{}
     """,
-    "agents_in_basilisk": """
-        flights | means
-        without RTA | ours <- basilisk/basilisk:agents.no_rta.own
-        flights | means apart
-        without RTA | Basilisk <- basilisk/basilisk:agents.no_rta.basilisk
-        without RTA | with J2 and drag <- basilisk/basilisk:agents.no_rta.basilisk, J2 and drag
-        without RTA | with wheels and pulses <- basilisk/basilisk:agents.no_rta.basilisk, wheels and pulses
-        flights | means
-        with RTA | ours <- basilisk/basilisk:agents.rta.own
-        flights | means apart
-        with RTA | Basilisk <- basilisk/basilisk:agents.rta.basilisk
-        with RTA | with J2 and drag <- basilisk/basilisk:agents.rta.basilisk, J2 and drag
-        with RTA | with wheels and pulses <- basilisk/basilisk:agents.rta.basilisk, wheels and pulses
-    """,
+    "agents_in_basilisk": "".join(IN_BASILISK.format(arm=arm, label=label) for arm, label in ARMS.items()),
     "speed": lambda: across(SPEED, read("benchmark")),
     "parts_of_a_step": """
         {256:.1f} | {1024:.1f} | {4096:.1f} | {65536:.1f}

@@ -82,6 +82,12 @@ def has_rest(c: Limits) -> bool:
     return c.solar_panel_axis == "-x" and c.thermal_axis[1] != "x"
 
 
+def check_rest(c: Limits) -> None:
+    """Raises NoCheckError without an attitude of rest."""
+    if not has_rest(c):
+        raise NoCheckError("there is no attitude of rest: panels must be on -x, the thermal side across them")
+
+
 def vector(axis: str, x: Tensor) -> Tensor:
     """Returns a body axis such as "-y" as a vector (3, ...), for states (16, ...)."""
     index, sign = AXES[axis]

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from columns import call, loop, when
 from inspection.fixed import Fixed
+from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, THRUST, TORQUE
 from rta.names import PAPERS
 from rta.result import FilterResult, Status
@@ -26,6 +27,12 @@ SHARES = (0.25, 0.5, 0.75)  # shares of the way from the proposed control to the
 
 class NoCheckError(ValueError):
     """Signals that no backup laws are known that satisfy the limits for good, and why."""
+
+
+def check_frame(c: Limits) -> None:
+    """Raises NoCheckError where the model includes the turning of Hill's frame, which no backup law counters."""
+    if c.hill_rotation:
+        raise NoCheckError("the turning of Hill's frame must be left out (hill_rotation = false)")
 
 
 class Check(Fixed, ABC):

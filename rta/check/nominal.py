@@ -16,8 +16,8 @@ from torch import Tensor
 from columns import call, if_long, loop, when
 from inspection.model.parameters import Limits
 from inspection.model.state_checks import is_state
-from rta.check.attitude_law import Pointing, has_rest, slew
-from rta.check.commit import ATTITUDE, LIMITS, MOTION, Check, NoCheckError
+from rta.check.attitude_law import Pointing, check_rest, slew
+from rta.check.commit import ATTITUDE, LIMITS, MOTION, Check, check_frame
 from rta.check.early_accept import EarlyAccept
 from rta.check.flight import Flight, hold
 from rta.check.motion_law import Braking, brake
@@ -57,12 +57,8 @@ class NominalCheck(Check):
     knows = True, True
 
     def __init__(self, c: Limits, period: float) -> None:
-        if c.hill_rotation:
-            raise NoCheckError("the turning of Hill's frame must be left out (hill_rotation = false)")
-        if not has_rest(c):
-            raise NoCheckError(
-                "there is no attitude of rest: panels must be on -x, the thermal side across them"
-            )
+        check_frame(c)
+        check_rest(c)
         # A verified hold satisfies the rate limits, so no trajectory depends on the plant's clamp of the rates.
         self.c = c = replace(c, saturate_rates=False)
         self.pointing = Pointing.of(c, period)

@@ -19,8 +19,8 @@ from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, THRUST, TORQUE
 from inspection.model.state_checks import LARGEST, is_state
 from inspection.world.uncertainty import Uncertainty
-from rta.check.attitude_law import has_rest
-from rta.check.commit import LIMITS, Check, NoCheckError
+from rta.check.attitude_law import check_rest
+from rta.check.commit import LIMITS, Check, NoCheckError, check_frame
 from rta.robust import attitude_check, motion_check
 from rta.robust.attitude_constants import AttitudeConstants
 from rta.robust.prediction import KINDS
@@ -138,8 +138,7 @@ def made(make: Callable[..., T], *given: Any) -> tuple[T | None, str]:
 
 def terminal_set_of(c: Limits, period: float, uncertainty: Uncertainty) -> RobustTerminalSet:
     """Returns the terminal set; raises NoCheckError if the bounds leave none, or beside a hull."""
-    if c.hill_rotation:
-        raise NoCheckError("the turning of Hill's frame must be left out (hill_rotation = false)")
+    check_frame(c)
     if c.planes:
         raise NoCheckError("beside a hull no invariant set is known")
     return RobustTerminalSet.of(c, period, uncertainty)
@@ -147,8 +146,6 @@ def terminal_set_of(c: Limits, period: float, uncertainty: Uncertainty) -> Robus
 
 def attitude_constants_of(c: Limits, period: float, uncertainty: Uncertainty) -> AttitudeConstants:
     """Returns the constants; raises NoCheckError if the bounds or the vehicle leave no trajectory to rest."""
-    if c.hill_rotation:
-        raise NoCheckError("the turning of Hill's frame must be left out (hill_rotation = false)")
-    if not has_rest(c):
-        raise NoCheckError("there is no attitude of rest: panels must be on -x, the thermal side across them")
+    check_frame(c)
+    check_rest(c)
     return AttitudeConstants.of(c, period, uncertainty)

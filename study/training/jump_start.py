@@ -20,6 +20,7 @@ from inspection.transition import Transition
 from ppo.learner import PPO
 from ppo.network import Policy
 from ppo.rollout import collect
+from study.training.log import times
 
 LEARNING_RATE = 8e-3  # in the first batch, annealed linearly to a tenth
 # Share of the episodes that restart with each batch. The flight to the orbit is a tenth of an episode, and there errors
@@ -127,10 +128,8 @@ class JumpStart:
         self.remember(self.latest)
         losses = learn(self.flown, self.learner, self.optimiser)
         self.taught += 1
-        return {f"losses/lesson_{name}": value for name, value in losses.items()} | {
-            "time/rollout_s": collected - started,
-            "time/learning_s": time.perf_counter() - collected,
-        }
+        lesson = {f"losses/lesson_{name}": value for name, value in losses.items()}
+        return lesson | times(started, collected, time.perf_counter())
 
     def remember(self, batch: Batch) -> None:
         """Appends the data of a batch to the data of earlier batches."""

@@ -169,3 +169,8 @@ def evaluation_scalars(record: Episodes) -> dict[str, float]:
     success = 100.0 * (record.outcome == OUTCOMES.index("success")).double().mean().item()
     values = *(float(iqm(metric)) for metric in record.metrics.cpu().numpy()), success
     return {f"evaluation/{name}": value for name, value in zip(EPISODE, values, strict=True)}
+
+
+def times(started: float, collected: float, learned: float) -> dict[str, float]:
+    """Returns the s that an update or a lesson took, by TensorBoard's tags."""
+    return {"time/rollout_s": collected - started, "time/learning_s": learned - collected}

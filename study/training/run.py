@@ -35,7 +35,7 @@ from study.machine import compile_or_explain
 from study.paper import tables
 from study.training.adversary import Adversary
 from study.training.jump_start import JumpStart
-from study.training.log import Log
+from study.training.log import Log, times
 from study.training.monitor import Exposure, LatestEpisodes, Monitor
 
 CHECKPOINT = "checkpoint.pt"
@@ -423,11 +423,6 @@ def what_next(directory: Path) -> str:
             f"tensorboard --logdir {logs}",
         )
     )
-
-
-def times(started: float, collected: float, learned: float) -> dict[str, float]:
-    """Returns the s that an update took, by TensorBoard's tags."""
-    return {"time/rollout_s": collected - started, "time/learning_s": learned - collected}
 
 
 def seconds_of(deed: Callable[[], None]) -> float:
