@@ -786,7 +786,7 @@ def outcome(words: list[str], errors: TextIO | None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Python sends the rest there when it ends
         return 0
     except OSError as error:
-        return complain(f"{error.filename}: {error.strerror}" if error.filename else f"{error}", 2, "end")
+        return complain(f"{error.filename}: {error.strerror}" if error.filename else f"{error}", 2)
     except Stopped as stopped:
         print(stopped)
         # zero with many ranks: torchrun takes other codes for a failure, and restarts
@@ -799,9 +799,9 @@ def outcome(words: list[str], errors: TextIO | None) -> int:
     except RankLostError as error:
         # torchrun sends SIGTERM when it also notices the loss; this process ends anyway
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        return complain(f"{error}", 1, "end")
+        return complain(f"{error}", 1)
     except NonFiniteError as error:
-        return complain(f"training stopped at {error}", 1, "end")
+        return complain(f"training stopped at {error}", 1)
     return 0
 
 
@@ -830,13 +830,12 @@ def run(given: Namespace) -> None:
         raise InputError(f"{given.command}: needs {missing.replace('.', '/')}, which is not here") from None
 
 
-def complain(reason: str, code: int, event: str = "") -> int:
-    """Prints an error line on stderr, once for all ranks with the same reason or event; returns the exit code."""
-    from ppo.distributed import ranks
+def complain(reason: str, code: int) -> int:
+    """Prints an error line on stderr, of bad input only on the first rank; returns the exit code."""
+    from ppo.distributed import is_first
 
-    if ranks().first_to_say(event or reason):
-        unfinished = "" if ranks().first else "\n"  # ends the line of the first rank's progress bar
-        print(f"{unfinished}error: {in_one_line(reason)}", file=sys.stderr)
+    if is_first() or code != 2:
+        print(f"error: {in_one_line(reason)}", file=sys.stderr)
     return code
 
 

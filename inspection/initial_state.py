@@ -88,8 +88,6 @@ class InitialStates:
 
     Attributes:
         pool: (16 + 3, k) states and priority vectors not handed out yet; one row more if `numbered`.
-        offset_and_total: for several supplies with equal generators that share one sequence of states: maps a count to
-            how many states the supplies before this one take first, and how many all of them take.
     """
 
     def __init__(
@@ -101,7 +99,6 @@ class InitialStates:
     ) -> None:
         self.generator, self.c, self.is_safe, self.numbered = generator, c, is_safe, numbered
         self.pool = torch.zeros(SIZE + 3 + numbered, 0, dtype=torch.float64, device=generator.device)
-        self.offset_and_total: Callable[[int], tuple[int, int]] = lambda count: (0, count)
 
     def seed(self, seed: int) -> None:
         """Restarts the supply from a seed (0 to 2^63 - 1)."""
@@ -110,12 +107,11 @@ class InitialStates:
 
     def take(self, count: int) -> tuple[Tensor, ...]:
         """Returns the next states (16, count), priority vectors (3, count) and, if `numbered`, numbers (count,)."""
-        before, together = self.offset_and_total(count)
-        while self.pool.shape[1] < together:
+        while self.pool.shape[1] < count:
             drawn: tuple[Tensor, ...] = sample_initial_state(POOL, self.generator, self.c, self.is_safe)
             if self.numbered:
                 drawn = *drawn, uniform(0.0, 1.0, POOL, self.generator)[None]
             self.pool = torch.cat((self.pool, torch.cat(drawn)), 1)
-        taken, self.pool = self.pool[:, before : before + count], self.pool[:, together:]
+        taken, self.pool = self.pool[:, :count], self.pool[:, count:]
         own = taken[:SIZE], taken[SIZE : SIZE + 3]
         return (*own, taken[-1]) if self.numbered else own

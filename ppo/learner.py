@@ -29,10 +29,10 @@ def explained_variance(value: Tensor, return_: Tensor) -> Tensor:
 class PPO:
     """Trains S seeds: `policy`, `value` and `generators` (one per seed) must all have the same S.
 
-    generators[k] orders the minibatches of seed k. With many `ranks`, all have equal networks, generators and batches.
-    Each rank computes the gradient on its share of every minibatch, and all take the same step. Errors count seeds from
-    `first_seed`. `cost_value` predicts discounted costs: with it, PPO-Lagrangian keeps the mean cost per step at
-    parameters.cost_limit. Raises ValueError if the numbers of seeds differ.
+    generators[k] orders the minibatches of seed k. Many `ranks` have equal networks and batches of their own; their
+    gradients are averaged, so that all take the same steps. Errors count seeds from `first_seed`. `cost_value` predicts
+    discounted costs: with it, PPO-Lagrangian keeps the mean cost per step at parameters.cost_limit. Raises ValueError
+    if the numbers of seeds differ.
     """
 
     def __init__(
@@ -115,6 +115,7 @@ class PPO:
         extra = {}
         if self.multiplier:
             extra["cost"] = batch["cost"].mean(1)
+            self.ranks.average([extra["cost"]])
             self.multiplier.update(extra["cost"])
             extra["multiplier"] = self.multiplier.value
             # the advantage of r - lambda c; the loss normalises their sum
@@ -122,20 +123,18 @@ class PPO:
             batch = batch | {"advantage": priced}
         rows = {name: batch[name].flatten(0, 1) for name in self._trained_on()}
         history: list[Tensor] = []
-        samples = batch["log_prob"].shape[1]
-        size = self._minibatch(samples)[1]
-        for index in self.minibatches(samples, batch["log_prob"].device):
+        for index in self.minibatches(batch["log_prob"].shape[1], batch["log_prob"].device):
             loss, statistics = self._loss({name: tensor[index] for name, tensor in rows.items()})
             self.optimiser.zero_grad()
             # with the sum over seeds, each seed's gradient is the one it would have alone
             with torch.autocast(loss.device.type, enabled=False):
                 loss.sum().backward()
-            self.ranks.average([gradient_of(weight) for weight in self._named.values()], size)
+            self.ranks.average([gradient_of(weight) for weight in self._named.values()])
             statistics |= self._clip_gradients()
             self.optimiser.step()
             history.append(torch.stack(list(statistics.values())))
         steps = torch.stack(history)
-        self.ranks.average([steps], size)
+        self.ranks.average([steps])
         mean = _finite_mean(steps, list(statistics), self.first_seed)
         for name, weight in self._named.items():
             require_finite(name, weight, self.first_seed)
@@ -182,18 +181,17 @@ class PPO:
             yield from torch.stack(orders).to(device)[:, : count * size].split(size, dim=1)
 
     def _loss(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """Returns the loss (S,) and statistics (S,), which carry no gradient, of this rank's share of a minibatch."""
+        """Returns the loss (S,) and statistics (S,), which carry no gradient, of a minibatch."""
         clip = self.parameters.clip
-        own = {name: self.ranks.own(tensor, 1) for name, tensor in batch.items()}
-        mean_action, log_std = self.policy(own["observation"])
-        log_prob = gaussian_log_prob(own["action"], mean_action, log_std)
-        log_ratio = (log_prob - own["log_prob"]).clamp(max=MAX_LOG_RATIO)
+        mean_action, log_std = self.policy(batch["observation"])
+        log_prob = gaussian_log_prob(batch["action"], mean_action, log_std)
+        log_ratio = (log_prob - batch["log_prob"]).clamp(max=MAX_LOG_RATIO)
         ratio = log_ratio.exp()
         variance, mean = torch.var_mean(batch["advantage"], dim=1, correction=0, keepdim=True)
-        advantage = self.ranks.own((batch["advantage"] - mean) / (variance.sqrt() + 1e-8), 1)
+        advantage = (batch["advantage"] - mean) / (variance.sqrt() + 1e-8)
         # L_clip = -E[min(ratio A, clip(ratio, 1 - epsilon, 1 + epsilon) A)]   (2017, eq. 7)
         surrogate = torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage)
-        value_error = (self.value(own["observation"]) - own["return_"]).square()
+        value_error = (self.value(batch["observation"]) - batch["return_"]).square()
         losses = {
             "policy_loss": -surrogate.mean(1),
             "value_loss": value_error.clamp(max=self.parameters.value_clip).mean(1),
@@ -201,8 +199,8 @@ class PPO:
         }
         value_losses = losses["value_loss"]
         if self.multiplier:
-            predicted = self.critics["cost"](own["observation"])
-            losses["cost_value_loss"] = (predicted - own["cost_return"]).square().mean(1)
+            predicted = self.critics["cost"](batch["observation"])
+            losses["cost_value_loss"] = (predicted - batch["cost_return"]).square().mean(1)
             value_losses = value_losses + losses["cost_value_loss"]
         # L = L_clip + c_v L_value - c_e H   (2017, eq. 9)
         loss = (
@@ -211,7 +209,7 @@ class PPO:
             - self.parameters.entropy_coefficient * losses["entropy"]
         )
         if self.kl_price:  # + beta KL(old || new)   (2017, eq. 8)
-            losses["kl"] = divergence(own["mean"], own["log_std"], mean_action, log_std).mean(1)
+            losses["kl"] = divergence(batch["mean"], batch["log_std"], mean_action, log_std).mean(1)
             loss = loss + self.kl_price.value * losses["kl"]
         with torch.no_grad():
             statistics = {name: tensor.detach() for name, tensor in losses.items()}

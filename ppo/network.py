@@ -10,7 +10,6 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from ppo.distributed import ALONE, Ranks
 from ppo.parameters import log_std_bias
 
 HIDDEN_GAIN = math.sqrt(2.0)
@@ -140,17 +139,10 @@ class Policy(nn.Module):
         return mean, low + (high - low) * 0.5 * (1.0 + level)
 
     @torch.no_grad()
-    def sample(
-        self, observation: Tensor, generators: Sequence[torch.Generator], ranks: Ranks = ALONE
-    ) -> tuple[Tensor, Tensor]:
-        """Draws actions (S, B, A), not clipped, with their log-probabilities (S, B); carries no gradient.
-
-        With many ranks, each draws the noise of all and takes its share, so that their generators stay equal.
-        """
+    def sample(self, observation: Tensor, generators: Sequence[torch.Generator]) -> tuple[Tensor, Tensor]:
+        """Draws actions (S, B, A), not clipped, with their log-probabilities (S, B); carries no gradient."""
         mean, log_std = self(observation)
-        _, batch, controls = mean.shape
-        noise = ranks.own(draw_noise(generators, (batch * ranks.size, controls), mean.device), 1)
-        action = mean + log_std.exp() * noise
+        action = mean + log_std.exp() * draw_noise(generators, mean.shape[1:], mean.device)
         # computed from the action, not the noise: so the learner recomputes the same number and starts at ratio one
         return action, gaussian_log_prob(action, mean, log_std)
 

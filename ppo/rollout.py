@@ -48,8 +48,7 @@ def collect(
 ) -> dict[str, Tensor]:
     """Acts for `steps` steps and returns the learner's batch, (S, N, ...) with N = steps * E.
 
-    The action kept is the agent's drawn one, before its shape (`Policy.shaped`) and before a filter changes it. With
-    many ranks (learner.ranks), each steps its share of the episodes, and the returned batch is that of all.
+    The action kept is the agent's drawn one, before its shape (`Policy.shaped`) and before a filter changes it.
 
     Args:
         watch: is shown every transition, for statistics.
@@ -60,7 +59,7 @@ def collect(
     observation = env.observation().unflatten(0, (seeds, -1))
     value = {name: critic(observation) for name, critic in learner.critics.items()}
     for _ in range(steps):
-        action, log_prob = learner.policy.sample(observation, generators, learner.ranks)
+        action, log_prob = learner.policy.sample(observation, generators)
         transition = env.step(learner.policy.shaped(action).flatten(0, 1))
         following = transition.observation.unflatten(0, (seeds, -1))
         following_value = {name: critic(following) for name, critic in learner.critics.items()}
@@ -106,8 +105,9 @@ def collect(
     if "cost" in estimates:
         batch |= {"cost": rollout["cost"]}
         batch |= dict(zip(("cost_advantage", "cost_return"), estimates["cost"], strict=True))
-    by_seed = {name: tensor.transpose(0, 1) for name, tensor in batch.items()}  # (S, T, E, ...)
-    return {name: learner.ranks.whole(tensor, 2).flatten(1, 2) for name, tensor in by_seed.items()}
+    return {
+        name: tensor.transpose(0, 1).flatten(1, 2) for name, tensor in batch.items()
+    }  # from (T, S, E, ...)
 
 
 def as_applied(policy: Policy, action: Tensor, applied: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ import torch
 from filelock import BaseFileLock, FileLock, SoftFileLock, Timeout
 from tqdm import tqdm
 
-from ppo.distributed import is_first, local_rank, ranks
+from ppo.distributed import is_first, ranks
 from ppo.files import naming
 from processors import processors
 from settings import InputError, in_one_line, to_toml
@@ -73,12 +73,13 @@ def resolve_device(name: str) -> torch.device:
         )
     if name == "cpu" or not torch.cuda.is_available():
         return torch.device("cpu")
-    if local_rank() >= torch.cuda.device_count():
+    number = int(os.environ.get("LOCAL_RANK", 0))  # of this process on this machine, from torchrun
+    if number >= torch.cuda.device_count():
         raise InputError(
-            f"device cuda: {torch.cuda.device_count()} here, too few for rank {local_rank()} of this machine"
+            f"device cuda: {torch.cuda.device_count()} here, too few for rank {number} of this machine"
         )
-    if local_rank() > 0:
-        torch.cuda.set_device(local_rank())
+    if number > 0:
+        torch.cuda.set_device(number)
     return torch.device("cuda")
 
 

@@ -92,9 +92,8 @@ class JumpStart:
         networks = learner.policy, learner.value
         weights = [weight for network in networks for weight in network.parameters()]
         self.optimiser = torch.optim.Adam(weights, LEARNING_RATE)
-        episodes = env.num_envs * learner.ranks.size
-        beginners = torch.arange(episodes, device=env.x.device) < RESTARTED * episodes
-        self.beginners = learner.ranks.own(beginners, 0).repeat(len(generators))
+        beginners = torch.arange(env.num_envs, device=env.x.device) < RESTARTED * env.num_envs
+        self.beginners = beginners.repeat(len(generators))
         self.taught = 0
         self.latest: Batch = {}
         self.flown: Batch = {}
@@ -122,7 +121,7 @@ class JumpStart:
         wanted = torch.stack(self.env.lessons).unflatten(1, (len(self.generators), -1)).transpose(0, 1)
         self.latest = {
             "observation": flown["observation"],
-            "action": self.learner.ranks.whole(wanted, 2).flatten(1, 2),  # of (S, T, E, 6)
+            "action": wanted.flatten(1, 2),  # from (S, T, E, 6)
             "return_": flown["return_"],
         }
         self.remember(self.latest)
@@ -160,7 +159,7 @@ def learn(batch: Batch, learner: PPO, optimiser: torch.optim.Optimizer) -> dict[
     samples = batch["return_"].shape[1]
     seen: list[Tensor] = []
     for index in learner.minibatches(samples, batch["return_"].device):
-        own = {name: learner.ranks.own(tensor[index], 1) for name, tensor in rows.items()}
+        own = {name: tensor[index] for name, tensor in rows.items()}
         mean, log_std = learner.policy(own["observation"])
         errors = (
             (mean - own["action"]).square().mean((1, 2)),
@@ -170,7 +169,7 @@ def learn(batch: Batch, learner: PPO, optimiser: torch.optim.Optimizer) -> dict[
         optimiser.zero_grad()
         sum(errors).sum().backward()  # the sum over seeds leaves each seed the gradient it would have alone
         gradients = [weight.grad for group in optimiser.param_groups for weight in group["params"]]
-        learner.ranks.average(gradients, index.shape[1])
+        learner.ranks.average(gradients)
         optimiser.step()
         seen.append(torch.stack((errors[0], errors[2])).detach().mean(1))
     action, value = torch.stack(seen).mean(0).tolist()

@@ -9,21 +9,23 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from torch import Tensor
 
 from inspection.model.state import CONTROL_SIZE
 from inspection.orbits import GUIDANCE
 from inspection.transition import Transition
 from ppo import checkpoint
-from ppo.distributed import ranks, shard_of_episodes, shard_of_seeds
+from ppo.distributed import ALONE, ranks
 from ppo.errors import NonFiniteError, RankLostError
 from ppo.learner import PPO
 from ppo.network import standard_deviation
 from ppo.rollout import collect
-from settings import to_toml
+from settings import InputError, to_toml
 from study.config import EVALUATION_CASES, TEST_CASES, Config
 from study.errors import Stopped, as_input_error
 from study.experiment import Experiment
@@ -63,7 +65,7 @@ def say_in_a_handler(text: str) -> None:
 class Run:
     """Trains one seed, or several side by side as one batch, and keeps them in a directory.
 
-    With many ranks, each rank has a part of one seed's episodes, or some of several seeds; the first rank writes.
+    With many ranks, each rank has some of several seeds, or a part of one seed's episodes; the first rank writes.
 
     Args:
         config: settled, see `study.experiment.settled`; directory: receives all files.
@@ -72,7 +74,7 @@ class Run:
 
     Attributes:
         seed_dirs: each seed's own directory.
-        shard: this rank's part of the training, which experiment, env and learner belong to.
+        learners: the ranks that train the same seed; experiment, env and learner have this rank's part.
         update, trained_s: number of updates done, and their wall-clock s, over all sessions.
         annealing: a message about the learning rate, if the end of its annealing has moved.
     """
@@ -80,20 +82,26 @@ class Run:
     annealing = ""
 
     def __init__(self, config: Config, directory: Path, seeds: Sequence[int] | None = None) -> None:
-        train = config.train
+        train, ppo = config.train, config.ppo
         self.directory, self.ranks = directory, ranks()
         self.seeds = (train.seed,) if seeds is None else tuple(seeds)
         self.seed_dirs = [directory] if seeds is None else [directory / f"seed{seed}" for seed in seeds]
+        self.learners = self.ranks if seeds is None else ALONE
+        num_envs, own = train.num_envs // self.learners.size, slice(0, 1)
         with as_input_error("torchrun", ValueError):
-            if seeds is None:
-                self.shard = shard_of_episodes(train.num_envs, config.ppo.minibatch_size, self.ranks)
-            else:
-                self.shard = shard_of_seeds(train.num_envs, len(seeds), self.ranks)
-        own_seeds, num_envs = self.seeds[self.shard.seeds], self.shard.num_envs
+            if seeds is not None:
+                own = self.ranks.share(len(seeds))
+            for name, count in (
+                ("[train] num_envs", train.num_envs),
+                ("[ppo] minibatch_size", ppo.minibatch_size),
+            ):
+                if count % self.learners.size:
+                    raise ValueError(f"{name} = {count}: must be a multiple of the {self.ranks.size} ranks")
+        own_seeds = self.seeds[own]
         seconds = train.updates * train.rollout_steps * config.inspection.action_period
         self.experiment = Experiment(config, num_envs * len(own_seeds), seconds)
         self.config, self.device = self.experiment.config, self.experiment.device
-        self.monitor = Monitor(self.experiment.safety.names, len(own_seeds), self.shard.seeds.start)
+        self.monitor = Monitor(self.experiment.safety.names, len(own_seeds), own.start)
         self.log = Log(directory, self.seed_dirs, train.batch)
 
         self.generators = generators = self.experiment.generators(own_seeds)
@@ -103,26 +111,28 @@ class Run:
             generators,
             compiled=self.experiment.compiled,
             safety=safety,
-            privileged=config.ppo.privileged,
+            privileged=ppo.privileged,
         )
         self.exposure = Exposure(self.env.safety.names, num_envs * len(own_seeds), self.device)
         self.latest = LatestEpisodes(num_envs * len(own_seeds), self.device)
-        for starts in self.env.starts:
-            starts.offset_and_total = self.shard.learners.offset_and_total
         self.policy = self.experiment.policy(generators)
         value = self.experiment.value(generators)
-        cost_value = self.experiment.value(generators) if config.ppo.cost_limit < 1.0 else None
+        cost_value = self.experiment.value(generators) if ppo.cost_limit < 1.0 else None
         self.learner = PPO(
             self.policy,
             value,
-            config.ppo,
+            replace(ppo, minibatch_size=ppo.minibatch_size // self.learners.size),
             generators,
-            self.shard.learners,
-            self.shard.seeds.start,
+            self.learners,
+            own.start,
             cost_value,
         )
+        if not self.learners.first:  # equal networks, but episodes and actions of its own
+            for generator in generators:
+                stream = np.random.SeedSequence((train.seed, self.learners.rank))
+                generator.manual_seed(int(stream.generate_state(1)[0]))
         if self.experiment.compiled and self.device.type == "cuda":  # not faster on a CPU
-            compile_or_explain("learner", lambda: self.learner.compile(train.batch))
+            compile_or_explain("learner", lambda: self.learner.compile(num_envs * train.rollout_steps))
         self.rewarded = Adversary(self.env, train.adversary) if train.adversary else self.env
         self.update, self.trained_s = 0, 0.0
         self.lessons: JumpStart | None = None
@@ -197,22 +207,31 @@ class Run:
         states = self.ranks.collect(own, self.device)
         if not states:
             return
-        state = self.shard.join(states)
-        if lesson := state.pop("lesson", None):
+        if lessons := [state.pop("lesson") for state in states if "lesson" in state]:
             folder = self.directory / LESSONS
             folder.mkdir(exist_ok=True)
-            checkpoint.save(folder / f"{state['lessons']['taught']}.pt", lesson)
-        about = {"config": to_toml(self.config)}
-        checkpoint.save(self.directory / CHECKPOINT, state | about)
-        for k, (seed, home) in enumerate(zip(self.seeds, self.seed_dirs, strict=True)):
-            policy = {name: stacked[k : k + 1].clone() for name, stacked in state["policy"].items()}
+            checkpoint.save(folder / f"{own['lessons']['taught']}.pt", {"of_ranks": lessons})
+        first, *others = states
+        whole = first | {"config": to_toml(self.config)} | ({"others": others} if others else {})
+        checkpoint.save(self.directory / CHECKPOINT, whole)
+        policies = [
+            {name: stacked[k : k + 1].clone() for name, stacked in state["policy"].items()}
+            for state in (states if self.learners is ALONE else states[:1])
+            for k in range(len(state["generators"]))
+        ]
+        for seed, home, policy in zip(self.seeds, self.seed_dirs, policies, strict=True):
             checkpoint.save(home / "policy.pt", {"policy": policy, "config": to_toml(self.config_of(seed))})
-        if "lessons" not in state:  # the phase is over, and the checkpoint says so
+        if not lessons:  # the phase is over, and the checkpoint says so
             shutil.rmtree(self.directory / LESSONS, ignore_errors=True)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restores the training from a checkpoint of `save`; raises various errors if the checkpoint does not fit."""
-        own = self.shard.split(saved)
+        states = [saved, *saved.get("others", ())]
+        if len(states) != self.ranks.size:
+            raise InputError(
+                f"{self.directory}: {len(states)} ranks trained it; it continues with as many, not {self.ranks.size}"
+            )
+        own = states[self.ranks.rank]
         self.learner.load_state_dict(own)
         self.env.load_state_dict(own["env"])
         for generator, state in zip(self.generators, own["generators"], strict=True):
@@ -221,14 +240,10 @@ class Run:
         if "training" in own:  # older checkpoints lack it
             self.exposure.load_state_dict(own["training"])
             self.latest.load_state_dict(own["training"])
-        if self.lessons and (state := saved.get("lessons")):
+        if self.lessons and (state := own.get("lessons")):
             files = [self.directory / LESSONS / f"{i + 1}.pt" for i in range(int(state["taught"]))]
-            batches = [
-                checkpoint.load(file, ("observation", "action", "return_"), self.device) for file in files
-            ]
-            self.lessons.load_state_dict(
-                self.shard.split(state), [self.shard.split(each) for each in batches]
-            )
+            batches = [checkpoint.load(file, ("of_ranks",), self.device)["of_ranks"] for file in files]
+            self.lessons.load_state_dict(state, [batch[self.ranks.rank] for batch in batches])
 
     def config_of(self, seed: int) -> Config:
         """Returns the configuration with which `train` trains this seed alone."""
@@ -268,7 +283,7 @@ class Run:
             stop.append(number)
 
         def stopped() -> bool:
-            return self.ranks.any(bool(stop))
+            return bool(self.ranks.most(bool(stop)))
 
         train = self.config.train
         shown = (
@@ -366,7 +381,7 @@ class Run:
         With many ranks, each plays its own seeds, or the first rank plays the one that they share. The first rank gets
         all episodes, the others None.
         """
-        record = play(self.policy, self.experiment, episodes, seed) if self.shard.learners.first else None
+        record = play(self.policy, self.experiment, episodes, seed) if self.learners.first else None
         records = [part for part in self.ranks.collect(record, self.device) if part]
         return Episodes.join(records) if records else None
 
@@ -376,14 +391,9 @@ class Run:
         return [report(own, self.config_of(trained), seed) for trained, own in parts]
 
     def violations_in_training(self) -> list[dict[str, Any]]:
-        """Returns `Exposure.report` of all ranks on the first one, else an empty list; all ranks must call it."""
-        own = {"training": self.exposure.state_dict(), "seconds": self.trained_s}
-        states = self.ranks.collect(own, self.device)
-        if not states:
-            return []
-        everyone = Exposure(self.exposure.constraints, 0, self.device)
-        everyone.load_state_dict(self.shard.join(states)["training"])
-        return everyone.report(len(self.seeds))
+        """Returns `Exposure.report` of all ranks' seeds on the first one, else an empty list; all must call it."""
+        reports = self.ranks.collect(self.exposure.report(len(self.generators)), self.device)
+        return list(chain(*reports))
 
     def conclude(self) -> str:
         """Evaluates the trained policy, writes evaluation.json and episode.png; returns the last message for a person.

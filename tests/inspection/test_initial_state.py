@@ -76,17 +76,3 @@ def test_supply_does_not_depend_on_how_it_is_taken(c, monkeypatch):
     one, other = InitialStates(seeded(6), c), InitialStates(seeded(6), c)
     pieces = [torch.cat(one.take(count)) for count in (1, 0, 12, 7)]
     assert torch.equal(torch.cat(pieces, 1), torch.cat(other.take(20)))
-
-
-def test_supplies_that_take_turns_hand_out_one_row(c, monkeypatch):
-    monkeypatch.setattr(initial_state, "POOL", 7)
-    row = InitialStates(seeded(8), c)
-    first, second = InitialStates(seeded(8), c), InitialStates(seeded(8), c)
-    for one, other in ((3, 2), (0, 4), (9, 0)):
-        first.offset_and_total, second.offset_and_total = (
-            lambda n, k=other: (0, n + k),
-            lambda n, k=one: (k, k + n),
-        )
-        taken = torch.cat((torch.cat(first.take(one)), torch.cat(second.take(other))), 1)
-        assert torch.equal(taken, torch.cat(row.take(one + other)))
-        assert torch.equal(first.generator.get_state(), row.generator.get_state())
