@@ -517,6 +517,12 @@ def run_filter(given: Namespace) -> None:
     ),
     count("--candidates", None, "lookahead's candidates per spacecraft and call of the filter (default: 24)"),
     count("--horizon", None, "calls of the filter for which lookahead simulates each candidate (default: 3)"),
+    flag(
+        "--starts",
+        choices=("anywhere", "limits"),
+        default="anywhere",
+        help="anywhere in the safe set, half of them from the paper's distribution; or next to one or two limits",
+    ),
     count("--duration", 2000, "whole seconds of each episode"),
     seconds("--check-every", 1.0, "seconds between two checks of all constraints"),
     flag(
@@ -559,27 +565,11 @@ def run_verify(given: Namespace) -> None:
         given.check_every,
         *looking_ahead(given.policy, given.candidates, given.horizon),
         given.filter,
+        given.starts,
     )
     report = verify(campaign, given.episodes, config, network, given.json, given.keep_worst)
     print(table(report))
     print(what_next(report, given.json))
-
-
-@command(
-    "test single calls of the filter at states next to its limits",
-    "--json runs/boundary.json",
-    count("--draws", 4096, "number of states, next to one limit or two; rounded up to whole batches"),
-    seed(0, "seed of all random numbers"),
-    REPORT,
-    settings=FLOWN,
-)
-def run_boundary(given: Namespace) -> None:
-    from study.verification.boundary import BATCH, Boundary, search, table
-    from study.verified import warn_if_unchecked
-
-    config = filtered(configured(given, Config()))
-    warn_if_unchecked(config)
-    print(table(search(Boundary(config.rta.period, given.seed, BATCH), given.draws, config, given.json)))
 
 
 @command(

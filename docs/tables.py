@@ -2,7 +2,7 @@
 
     python -m docs.tables
 
-A comment above a table names an entry of TABLES here: `<!-- rows: boundary -->`. The heading is the page's own.
+A comment above a table names an entry of TABLES here: `<!-- rows: vehicles -->`. The heading is the page's own.
 Prose quotes no number that one of these files has: it points to a table.
 
 An entry has lines of columns and below these lines of rows. A column is a name of COLUMNS or METRICS, or a template of
@@ -214,6 +214,7 @@ AXES: dict[str, Any] = {  # the words of a path, and others in their place in a 
     "demand": ("random", "waypoints", "agent"),
     "s": ("1", "5", "10"),
     "later": ("5", "10"),
+    "pushing": ("adversarial", "pressing"),
     "learned": {"motion": "motion", "passive": "passive safety", "attitude": "attitude, temperature, energy"},
     "vehicle": {"3u": "3U, 4 kg", "12u": "12U, 20 kg", "espa": "ESPA-class, 180 kg"},
     "decides": {
@@ -573,9 +574,9 @@ TABLES: dict[str, str | Callable[[], Rows]] = {
     """,
     "campaigns_in_basilisk": CAMPAIGNS + "{any_policy} <- basilisk/u1_{any_policy}",
     "boundary": """
-        {violating_draws.any:,} of {draws:,} | {upper_bound_95:.1e} | {backup_calls/filter_calls:.1%}
-        1 <- verification/boundary
-        {later} <- frequency/boundary_{later}s
+        {violating_episodes.any:,} of {episodes:,} | {upper_bound_95:.1e} | {backup_calls/filter_calls.sum:.1%}
+        1 | {pushing} <- verification/limits_{pushing}
+        {later} | adversarial <- frequency/limits_{later}s
     """,
     "barely": """
         {calls:,} | {moved_by_check_percent:.2f} | {unverified_percent:.3g}

@@ -32,7 +32,6 @@ __all__ = ["run"]  # a fixture
 READERS = (
     "evaluate --controller zero --episodes 1 --no-rta --json F.json",
     "verify --policy random --episodes 1 --duration 1 --compile off --json F.json",
-    "boundary --draws 1 --compile off --json F.json",
     "break-points --episodes 1 --duration 1 --json F.json",
     "benchmark --json F.json",
     "simulate --controller zero --no-rta --duration 10 --out x.npz --initial-state F.json",

@@ -4,16 +4,20 @@ import dataclasses
 import hashlib
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
+from columns import if_long
 from inspection.closed_loop import Controller, Safety
 from inspection.environment import InspectionEnv
+from inspection.model.attitude import unit
 from inspection.model.draws import uniform
+from inspection.model.state import P
 from inspection.world.uncertainty import Uncertainty
 from ppo.network import Policy
 from rta.names import CONSTRAINTS
@@ -29,6 +33,7 @@ from study.machine import bar, step
 from study.verification.adversaries import Greedy, adversarial, attacked, held_at_random, learned
 from study.verification.counter_examples import counter_example
 from study.verification.findings import Campaign, report_in, table
+from study.verification.limits import DRAWING, barriers, near_limits
 from study.verification.lookahead import CANDIDATES, HORIZON, Lookahead
 from study.verification.starts import initial_states, spawned
 from study.verification.tally import add
@@ -75,6 +80,7 @@ def run(
     config, env = experiment.config, None
     decide_every = decides_every(config, network)
     report = report_in(path, campaign, config, table)
+    starts = supply_of_starts(campaign, experiment)
     kept_below = math.inf if keep_worst else 0.0
     while report["episodes"] < episodes:
         number, first = divmod(report["episodes"], campaign.batch_size)
@@ -82,7 +88,7 @@ def run(
         seed_of_starts, seed_of_controls, seed_of_plants = spawned(int(batch_seed), 3)
         drawing = step("drawing the starts, some seconds a batch")
         with as_input_error(blamed(config), RuntimeError), drawing:
-            x, priority, rejected = initial_states(campaign.batch_size, seed_of_starts, experiment.filter)
+            x, priority, rejected = starts(seed_of_starts)
         count = min(campaign.batch_size - first, episodes - report["episodes"])
         if env is None or env.time.numel() != count:
             env = experiment.env(count, None, decide_every, campaign.check_every, experiment.filter_compiled)
@@ -112,6 +118,29 @@ def run(
                     write_npz(f"{path}.{name}.npz", example)
             write_json(path, report)
     yield report
+
+
+def supply_of_starts(
+    campaign: Campaign, experiment: Experiment
+) -> Callable[[int], tuple[Tensor, Tensor, int]]:
+    """Returns a function of a seed: a batch of starts in the form of `safe_set`."""
+    safety_filter, batch = experiment.filter, campaign.batch_size
+    if campaign.starts == "anywhere":
+        return lambda seed: initial_states(batch, seed, safety_filter)
+
+    def values(x: Tensor) -> list[Tensor]:
+        return [barriers(x, safety_filter)]
+
+    barriers_at: Callable[[Tensor], list[Tensor]] = values
+    if experiment.filter_compiled:
+        example, long = safety_filter.probe(experiment.device)[0], if_long(len(safety_filter.c.planes))
+        barriers_at = experiment.compiler(values, example, long=long)
+
+    def next_to_limits(seed: int) -> tuple[Tensor, Tensor, int]:
+        found = near_limits(batch, seed, safety_filter, lambda x: barriers_at(x)[0], experiment.device)
+        return found.state, unit(found.state[P]), 0
+
+    return next_to_limits
 
 
 def commanding(
@@ -167,7 +196,9 @@ def verify(
     """
     check_times(campaign, config, network)
     duration, tried = campaign.duration, campaign.candidates or 1
-    experiment = Experiment(config, BATCH * tried, seconds=-(-episodes // BATCH) * duration)
+    calls = DRAWING if campaign.starts == "limits" else 0
+    seconds = -(-episodes // BATCH) * (duration + calls * campaign.period)
+    experiment = Experiment(config, BATCH * tried, seconds)
     if campaign.filter != "python":
         experiment.safety = exported(experiment, campaign.filter)
     network = network.to(experiment.device) if network else None

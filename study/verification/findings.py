@@ -28,6 +28,7 @@ class Campaign:
             F, else empty.
         period: s between filter calls; duration: s per episode; batch_size: starts drawn at once.
         check_every: s between two checks of every constraint.
+        starts: "anywhere" in the safe set, or "limits", next to them.
         candidates, horizon: of lookahead, see `study.verification.lookahead`; else 0.
         filter: "python", or "c" for the exported filter.
     """
@@ -42,6 +43,7 @@ class Campaign:
     candidates: int = 0
     horizon: int = 0
     filter: str = "python"
+    starts: str = "anywhere"
 
 
 def empty_report(campaign: Campaign, config: Config) -> dict[str, Any]:

@@ -35,6 +35,7 @@ from study.verification.starts import NUMBERS, spawned, states_of
 
 GAP = 1e-6, 1e-1  # smallest and largest
 BISECTIONS = 2, 2, 20  # of a component's way; after each, states that must violate a limit are rejected
+DRAWING = 3 * sum(BISECTIONS)  # about the number of evaluations of the barriers for a batch
 CANDIDATES = 15  # in a hypercube, for each wanted state: usually enough
 HYPERCUBES = 100  # most that are drawn before giving up
 LIMITS = len(CONSTRAINTS)

@@ -79,7 +79,6 @@ def test_an_arm_behind_another_filter_has_a_solver_of_its_own() -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        ["boundary", "--draws", "10"],
         ["export", "--filter", "runs/none"],
         ["play", "--out", "runs/none.html"],
         ["verify", "--policy", "random", "--filter", "c", "--episodes", "1", "--duration", "10"],
