@@ -219,14 +219,14 @@ RESULTS = flag("--json", type=to_write(".json"), metavar="F", help="also write t
 def agent_and_config(given: Namespace) -> "tuple[Policy | None, Config]":
     """Returns the agent of --checkpoint, if given, and the settings of its training, changed by files and flags.
 
-    Without an agent, the defaults are changed. The solver is not taken from the training.
+    Without an agent, the defaults are changed.
     """
     from study.experiment import check_observed, load_policy
 
     if given.checkpoint is None:
         return None, configured(given, Config())
     policy, trained = load_policy(given.checkpoint)
-    config = configured(given, trained.with_solver("auto"))
+    config = configured(given, trained)
     check_observed(config, trained)
     return policy, config
 
@@ -551,7 +551,7 @@ def run_verify(given: Namespace) -> None:
     if given.keep_worst and not given.json:
         raise InputError("--keep-worst keeps episodes beside --json F: name one")
     network, trained = load_commander(given.policy)
-    config = filtered(configured(given, (trained or Config()).with_solver("auto")))
+    config = filtered(configured(given, trained or Config()))
     warn_if_unchecked(config)
     if network:
         check_observed(config, trained)
@@ -719,7 +719,7 @@ def run_config(given: Namespace) -> None:
 
     base = StudyConfig()
     if given.checkpoint:
-        base = StudyConfig(**vars(load_policy(given.checkpoint)[1].with_solver("auto")))
+        base = StudyConfig(**vars(load_policy(given.checkpoint)[1]))
     print(to_toml(configured(given, base)), end="")
 
 

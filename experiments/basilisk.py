@@ -105,7 +105,7 @@ def differences(one: Tensor, other: Tensor) -> dict[str, float]:
 
 def flown(arm: Arm, plant: PlantParameters, cases: int) -> Episodes:
     """Flies all agents of an arm through the first common test cases."""
-    config = replace(arm.config.with_solver("auto"), plant=plant)
+    config = replace(arm.config, plant=plant)
     return play(arm.policy, Experiment(config, cases * arm.policy.seeds), cases, TEST_CASES)
 
 

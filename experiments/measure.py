@@ -273,9 +273,7 @@ def measured(arguments: argparse.Namespace) -> dict[str, Any]:
         raise InputError("--checkpoint F is needed by --demand agent and by no other")
     set_threads(None)
     policy, config = load_policy(arguments.checkpoint) if arguments.checkpoint else (None, Config())
-    config = override(
-        configured(arguments, config.with_solver("auto")), {"train": {"rta": True}}, "the filter"
-    )
+    config = override(configured(arguments, config), {"train": {"rta": True}}, "the filter")
     found = measure(
         config, arguments.demand, arguments.starts, arguments.episodes, arguments.duration, policy
     )

@@ -148,10 +148,6 @@ class Config:
     plant: PlantParameters = field(default_factory=PlantParameters)
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
 
-    def with_solver(self, solver: str) -> "Config":
-        """Returns the configuration with this solver of the quadratic programs."""
-        return dataclasses.replace(self, rta=dataclasses.replace(self.rta, qp_solver=solver))
-
 
 @dataclass(frozen=True)
 class StudyConfig(Config):
@@ -192,24 +188,24 @@ class StudyConfig(Config):
         return range(self.train.seed, self.train.seed + self.study.seeds)
 
     def of_arm(self, name: str) -> Config:
-        """Returns the configuration of a training run of the arm's first seed.
-
-        If the arm's filter is of another kind than the study's, the arm's solver is chosen anew.
-        """
+        """Returns the configuration of a training run of the arm's first seed."""
         shared = Config(*(getattr(self, part.name) for part in dataclasses.fields(Config)))
-        tables = self.all_arms[name]
-        rta = tables.get("rta", {})
-        if rta.get("filter", shared.rta.filter) != shared.rta.filter:
-            tables = {**tables, "rta": {"qp_solver": "auto", **rta}}
-        return override(shared, tables, f"[arms.{name}]")
+        return override(shared, self.all_arms[name], f"[arms.{name}]")
 
 
 AnyConfig = TypeVar("AnyConfig", bound=Config)
 
 
 def recorded(text: str, source: str, base: AnyConfig) -> AnyConfig:
-    """Reads the configuration of a finished run, as `from_toml`, without retired keys."""
-    return from_toml(text, source, base, of_today)
+    """Reads the configuration of a finished run, as `from_toml`, without its solver and retired keys."""
+
+    def kept(tables: dict[str, Any]) -> dict[str, Any]:
+        tables = of_today(tables)
+        if isinstance(rta := tables.get("rta"), dict):
+            rta.pop("qp_solver", None)
+        return tables
+
+    return from_toml(text, source, base, kept)
 
 
 def of_today(tables: dict[str, Any]) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from inspection.model.draws import uniform
 from inspection.model.state import CONTROL_SIZE
 from inspection.observation import components
 from inspection.privileged import PRIVILEGED
+from inspection.world.uncertainty import Uncertainty
 from ppo import checkpoint
 from ppo.errors import CheckpointError
 from ppo.network import Policy, Value
@@ -55,12 +56,12 @@ class Experiment:
     """Builds from a configuration the device, the filter, environments and networks.
 
     Args:
-        config: the configuration, whose solver may be `auto`.
+        config: the configuration.
         batch: about how many spacecraft are filtered at once.
         seconds: simulated time of the experiment, to judge whether compiling saves time; None: an episode.
 
     Attributes:
-        config: with the chosen solver; device; filter.
+        config: with the digest of the chief's mesh; device; filter.
         task: `[inspection]`, with the chief's hull if this is the keep-out zone.
         safety: constraints, accepted initial states and, if the configuration wants it, the filter.
         filter_compiled, compiled: the filter is compiled; simulator and learner are to be compiled.
@@ -87,8 +88,6 @@ class Experiment:
             config.plant.check_body(config.inspection)
         if self.filter_compiled:
             self.filter_compiled = compile_or_explain("filter", lambda: self.compile_filter(batch))
-        if not self.filter_compiled:
-            self.filter = for_batches(self.filter)
         self.safety = self.filter.safety(config.train.rta)
         if config.train.keep_clear and not ignores_keep_clear(config):
             self.safety = kept_clear(self.safety, self.task)
@@ -189,21 +188,18 @@ def filter_of(config: Config) -> SafetyFilter:
     with as_input_error("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
         task = with_hull(config.inspection, config.chief)
         if is_paper or config.uncertainty.is_zero:
-            return SafetyFilter(task, rta, OWN_LIMITS)
-        if not find_spec("rta.robust"):
+            found = SafetyFilter(task, rta, OWN_LIMITS)
+        elif find_spec("rta.robust"):
+            from rta.robust.filter import RobustFilter
+
+            found = RobustFilter(task, rta, OWN_LIMITS, uncertainty=config.uncertainty)
+        else:
             raise InputError("[uncertainty]: rta/robust is not here, so that error bounds must be nil")
-        from rta.robust.filter import RobustFilter
-
-        return RobustFilter(task, rta, OWN_LIMITS, uncertainty=config.uncertainty)
-
-
-def for_batches(safety_filter: SafetyFilter) -> SafetyFilter:
-    """Returns the filter; it solves its programs for a whole batch at once if this is wanted and rta/fast is here."""
-    if safety_filter.parameters.solver == "batched" and find_spec("rta.fast"):
+    if rta.solver == "batched" and find_spec("rta.fast"):
         from rta.fast.filter import batched
 
-        return batched(safety_filter)
-    return safety_filter
+        return batched(found)
+    return found
 
 
 def check_is_checked(config: Config) -> None:
@@ -242,15 +238,15 @@ def paper_task(
 
 def test_cases(config: Config, episodes: int, seed: int) -> Starts:
     """Returns the common test cases, the same for every agent and device; no case depends on the number of cases."""
-    c = with_hull(config.inspection, config.chief)
+    drawn_by = replace(config, rta=RtaParameters(unverified=True), uncertainty=Uncertainty())
     with (
         as_input_error(
             "[inspection]: no test cases, whose starts the checked filter accepts", RuntimeError, ValueError
         ),
         step("drawing the test cases, seconds"),
     ):
-        accepting = SafetyFilter(c, RtaParameters(unverified=True), OWN_LIMITS)
-        starts = InitialStates(torch.Generator().manual_seed(seed), c, for_batches(accepting).is_safe)
+        accepting = filter_of(drawn_by)
+        starts = InitialStates(torch.Generator().manual_seed(seed), accepting.c, accepting.is_safe)
         x, priority = starts.take(episodes)
     return Starts(x, priority, plant_numbers(episodes, seed))
 
@@ -301,14 +297,10 @@ def check_cache() -> None:
 
 
 def settled(config: AnyConfig) -> AnyConfig:
-    """Returns the configuration with its solver and the digest of the chief's mesh, which determine a run's numbers."""
+    """Returns the configuration with the digest of the chief's mesh, on which a run's numbers depend."""
     with as_input_error("[chief]", ValueError):
-        config = replace(
-            config, chief=replace(config.chief, mesh=config.chief.mesh and with_digest(config.chief.mesh))
-        )
-    if config.rta.qp_solver != "auto":
-        return config
-    return replace(config, rta=replace(config.rta, qp_solver=config.rta.solver))
+        mesh = config.chief.mesh and with_digest(config.chief.mesh)
+    return replace(config, chief=replace(config.chief, mesh=mesh))
 
 
 def make_policy(config: Config, generators: Sequence[torch.Generator]) -> Policy:

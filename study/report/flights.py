@@ -83,7 +83,7 @@ def flights_with(arm: Arm, config: Config) -> tuple[Episodes, Config]:
 
 def unlearned(config: Config, rta: bool, episodes: int) -> Experiment:
     """Returns an experiment for controllers that are not trained, with the filter off or called as in the study."""
-    return Experiment(with_rta(config, rta, config.rta.period).with_solver("auto"), episodes)
+    return Experiment(with_rta(config, rta, config.rta.period), episodes)
 
 
 def baselines(config: Config) -> dict[str, dict[str, Results]]:
@@ -133,7 +133,7 @@ def side_by_side(arms: dict[str, Arm]) -> list[list[str]]:
     """Returns names of arms in groups whose agents can fly in one environment, since their settings agree."""
     groups: list[tuple[tuple[Any, ...], list[str]]] = []
     for name, arm in arms.items():
-        config = with_rta(arm.config, True, FILTER_PERIOD).with_solver("auto")
+        config = with_rta(arm.config, True, FILTER_PERIOD)
         train, ppo = config.train, config.ppo
         needs = (
             *(config.inspection, config.rta, config.chief, len(arm.digests)),
@@ -151,7 +151,7 @@ def side_by_side(arms: dict[str, Arm]) -> list[list[str]]:
 def in_world(arms: Sequence[Arm], plant: str, rta: bool, uncertainty: Uncertainty) -> list[Results]:
     """Flies the agents of arms side by side in the plant of a file, the filter on or off and with this uncertainty."""
     first = arms[0]
-    own = with_rta(first.config, rta, FILTER_PERIOD).with_solver("auto")
+    own = with_rta(first.config, rta, FILTER_PERIOD)
     if not uncertainty.is_zero:  # the paper's filter has no error bounds
         own = replace(own, rta=replace(own.rta, filter="checked"))
     config = replace(
@@ -179,7 +179,7 @@ def progress(arms: dict[str, Arm], config: Config) -> dict[str, dict[str, list[f
     """Returns by arm, and for "guidance" with the filter, the inspected weight over time, IQM over the test cases."""
     cases = config.train.final_episodes
     every = FILTER_PERIOD
-    experiment = Experiment(with_rta(config, True, every).with_solver("auto"), cases)
+    experiment = Experiment(with_rta(config, True, every), cases)
     env = experiment.env(cases, decide_every=every, compiled=experiment.compiled)
     controller = classical(GUIDE, env, TEST_CASES, every)
     curve = weights_over_time(env, controller, test_cases(config, cases, TEST_CASES))

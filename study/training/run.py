@@ -145,7 +145,7 @@ class Run:
         """Returns the first lines that a person sees."""
         config, experiment = self.config, self.experiment
         kind = "the paper's RTA" if config.rta.filter == "paper" else "RTA"
-        arm = f"{kind} at {config.rta.period:g} s by {config.rta.qp_solver}" if config.train.rta else "no RTA"
+        arm = f"{kind} at {config.rta.period:g} s by {config.rta.solver}" if config.train.rta else "no RTA"
         arm += ", compiled" if experiment.compiled or experiment.filter_compiled else ""
         first, *rest = self.seeds
         which = f"seeds {first} to {rest[-1]}" if rest else f"seed {first}"

@@ -10,7 +10,7 @@ from inspection.model.state import SIZE, THRUST, E, P, Q, V
 from settings import override
 from study import machine
 from study.config import Config
-from study.experiment import Experiment, paper_task, settled
+from study.experiment import Experiment, paper_task
 from study.flight import evaluation
 from study.flight.controllers import untrained
 
@@ -84,13 +84,3 @@ def test_the_guidance_is_flown_in_the_default_task_without_the_filter_and_with_w
     assert env.safety.correct is None and env.time.shape == (3,) and env.clocks.decision == 1.0
     assert (experiment.config.rta.period, experiment.device.type) == (1.0, "cpu")
     assert [each.generator.initial_seed() for each in env.starts] == [5]
-
-
-@pytest.mark.parametrize(("filter_", "solver"), [("paper", "piqp"), ("checked", "batched")])
-def test_the_solver_depends_on_the_filter_alone(filter_: str, solver: str) -> None:
-    for compile_, batch in (("auto", 1), ("off", 1), ("off", 512)):
-        tables = {"train": {"num_envs": batch, "compile": compile_}, "rta": {"filter": filter_}}
-        config = override(Config(), tables, "test")
-        assert settled(config).rta.qp_solver == Experiment(config, batch).config.rta.qp_solver == solver
-    named = override(Config(), {"rta": {"qp_solver": "piqp"}}, "test")
-    assert settled(named).rta.qp_solver == "piqp"

@@ -15,7 +15,7 @@ from rta.parameters import PERIODS, RtaParameters
 from rta.result import Status
 from settings import InputError, override
 from study.config import Config, StudyConfig
-from study.experiment import Experiment, checked_filter, filter_of, settled
+from study.experiment import Experiment, checked_filter, filter_of
 from study.flight.evaluation import play_controller, report
 from study.flight.offline_filter import filter_states
 from study.machine import finds_compiler
@@ -37,8 +37,7 @@ def test_a_configuration_gets_the_filter_that_it_asks_for() -> None:
     paper = filter_of(made(rta={"period": 5.0}))
     assert paper.check is None and paper.period == 5.0 and paper.limits == PAPER
     assert all(filter_of(Config()).checked)
-    config = settled(made())
-    assert config.rta.qp_solver == "piqp"
+    assert made().rta.solver == "piqp"
     experiment = Experiment(made(), 2, seconds=1.0)
     assert experiment.safety.names == experiment.filter.names and experiment.safety.correct is not None
     assert Experiment(made(train={"rta": False}), 2, seconds=1.0).safety.correct is None
@@ -71,8 +70,7 @@ def test_an_arm_behind_another_filter_has_a_solver_of_its_own() -> None:
         },
         "test",
     )
-    whole = settled(study)
-    solvers = [settled(whole.of_arm(name)).rta.qp_solver for name in ("rta", "paper")]
+    solvers = [study.of_arm(name).rta.solver for name in ("rta", "paper")]
     assert solvers == ["batched", "piqp"]
 
 
