@@ -573,7 +573,7 @@ TABLES: dict[str, str | Callable[[], Rows]] = {
         U1's bounds | random <- verification/u1_in_c_random
     """,
     "campaigns_in_basilisk": CAMPAIGNS + "{any_policy} <- basilisk/u1_{any_policy}",
-    "boundary": """
+    "next_to_limits": """
         {violating_episodes.any:,} of {episodes:,} | {upper_bound_95:.1e} | {backup_calls/filter_calls.sum:.1%}
         1 | {pushing} <- verification/limits_{pushing}
         {later} | adversarial <- frequency/limits_{later}s
