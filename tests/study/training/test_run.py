@@ -36,7 +36,7 @@ def tiny(
             "num_envs": 32,
             "rollout_steps": 4,
             "evaluation_interval": 10**9,
-            "compile": "off",
+            "compile": "on" if train.get("rta") else "off",
             "device": "cpu",
         }
         | train,

@@ -34,7 +34,7 @@ interactions = 36
 evaluation_interval = 12
 evaluation_episodes = 2
 final_episodes = 4
-compile = "off"
+compile = "on"
 device = "cpu"
 [rta]
 period = 1.0

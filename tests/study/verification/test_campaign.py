@@ -20,7 +20,7 @@ from study.verification.campaign import Campaign, run
 from study.verification.counter_examples import refly_file
 from study.verification.starts import initial_states
 
-EXPERIMENT = Experiment(override(Config(), {"train": {"compile": "off", "device": "cpu"}}, "test"), 64)
+EXPERIMENT = Experiment(override(Config(), {"train": {"compile": "on", "device": "cpu"}}, "test"), 64)
 
 
 class Flown(Exception):
