@@ -33,7 +33,7 @@ from study.flight.evaluation import Episodes, play
 from study.flight.figures import BLUE, ORANGE
 from study.flight.fly import SUCCESS
 from study.machine import set_threads
-from study.report.agents import Arm, agents_of
+from study.report.inputs import Arm, agents_of
 from study.verification.starts import safe_set
 
 SPACECRAFT, SECONDS, EVERY = 100, 1000, 20  # number that coast, s of flight, s between comparisons

@@ -19,11 +19,12 @@ from matplotlib.ticker import StrMethodFormatter
 
 from settings import InputError, Parser
 from study.config import EVALUATION_CASES, TEST_CASES, Config
+from study.experiment import Experiment
 from study.files import read_json_lines, write_json, writing
 from study.flight.evaluation import Episodes, play_controller, report
 from study.machine import set_threads
-from study.report.agents import Arm, agents_of
-from study.report.flights import flights_with, unlearned, with_rta
+from study.report.flights import flights_with, with_rta
+from study.report.inputs import Arm, agents_of
 
 KEPT = ("reward", "delta_v_m_s", "episode_length_s")
 CLASSICAL = ("quick", "even")  # settings of the guidance
@@ -115,13 +116,14 @@ def curves(path: Path) -> dict[str, list[Any]]:
 
 def flown(arm: Arm, rta: bool) -> dict[str, Any]:
     """Returns the summary of an arm's agents with the filter off or on."""
-    record, config = flights_with(arm, with_rta(arm.config, rta, arm.config.rta.period))
+    config = with_rta(arm.config, rta, arm.config.rta.period)
+    record, config = flights_with(arm, config, config.train.final_episodes)
     return summary(record, config, len(arm.digests))
 
 
 def guided(config: Config, name: str, cases: int, rta: bool, seed: int = TEST_CASES) -> dict[str, Any]:
     """Returns the summary of a guidance, which decides every second, with the filter off or on."""
-    experiment = unlearned(config, rta, cases)
+    experiment = Experiment(with_rta(config, rta, config.rta.period).with_solver("auto"), cases)
     return summary(play_controller(name, experiment, cases, seed), experiment.config)
 
 

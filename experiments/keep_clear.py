@@ -11,8 +11,8 @@ from pathlib import Path
 from settings import Parser
 from study.files import write_json
 from study.machine import set_threads
-from study.report.agents import agents_of
 from study.report.flights import flown_with
+from study.report.inputs import agents_of
 
 
 def main(argv: list[str] | None = None) -> None:

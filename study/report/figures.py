@@ -69,13 +69,11 @@ def draw(inputs: Inputs) -> None:
     """
     with as_input_error(f"--study {inputs.study}: cannot write its report", OSError):
         if inputs.training:
-            draw_training(inputs)
-        draw_episodes(inputs)
+            save(training_figure(inputs), inputs.directory / "training")
         save(cross_figure(inputs.cross), inputs.directory / "cross")
-        if inputs.front:
-            save(front_figure(inputs), inputs.directory / "front")
-        if inputs.progress:
-            save(progress_figure(inputs.progress), inputs.directory / "progress")
+        save(front_figure(inputs), inputs.directory / "front")
+        save(progress_figure(inputs.progress), inputs.directory / "progress")
+        draw_episodes(inputs)
 
 
 def draw_episodes(inputs: Inputs) -> None:
@@ -93,24 +91,14 @@ def draw_episodes(inputs: Inputs) -> None:
         constraint_figure(episode, c, directory / f"demonstration_{arm}.png")
 
 
-def draw_training(inputs: Inputs) -> None:
-    """Draws the six training curves in one figure, and each alone."""
-    curves, directory = inputs.training, inputs.directory
+def training_figure(inputs: Inputs) -> Figure:
+    """Draws the six training curves."""
     figure = Figure(figsize=(11, 6), layout="constrained")
     for ax, metric in zip(figure.subplots(2, 3).flat, TRAINING, strict=True):
-        training_panel(ax, curves[metric], metric, inputs.everyone)
-    figure.legend(
-        *figure.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False
-    )
-    save(figure, directory / "training")
-    for metric in TRAINING:
-        figure = Figure(figsize=(4.4, 3.1), layout="constrained")
-        ax = figure.subplots()
-        training_panel(ax, curves[metric], metric, inputs.everyone)
-        figure.legend(
-            *ax.get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False, fontsize=8
-        )
-        save(figure, directory / f"training_{metric}")
+        training_panel(ax, inputs.training[metric], metric, inputs.arms)
+    labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(*labels, loc="outside upper center", ncols=4, frameon=False)
+    return figure
 
 
 def save(figure: Figure, stem: Path) -> None:
@@ -198,8 +186,8 @@ def front_figure(inputs: Inputs) -> Figure:
     """Draws delta v over length for each arm (large), its seeds (small), and the guidance from thrifty to fast."""
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
     ax = figure.subplots()
-    for arm, results in inputs.everyone.items():
-        colour, marker = style(arm, inputs.everyone)
+    for arm, results in inputs.arms.items():
+        colour, marker = style(arm, inputs.arms)
         for seed in results.get("per_seed", ()):
             ax.plot(*point(seed), color=colour, marker=marker, ms=3, alpha=0.5, ls="")
         ax.plot(

@@ -1,10 +1,7 @@
 """Flights of a report: agents with other filters and in other plants, and the guidance."""
 
-from collections.abc import Sequence
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -27,10 +24,11 @@ from study.flight.fly import Limits, Observer, Starts, fly
 from study.flight.simulation import simulate, starting_point
 from study.flight.summary import iqm
 from study.paper import Results
-from study.report.agents import Arm, stacked
+from study.report.inputs import Arm
 
 DEMONSTRATION = ROOT / "configs" / "demonstration.json"
 DEMONSTRATION_DURATION = 2000.0  # s
+SWITCHES = {"off": False, "on": True}  # of the filter
 FILTER_PERIOD = 1.0  # s between two calls of the filter
 PLANTS = ROOT / "configs" / "plants"
 WORLDS = ("nominal", "typical", "u1", "harsh")  # names of files in PLANTS
@@ -44,8 +42,8 @@ def cross(arms: dict[str, Arm]) -> dict[str, dict[str, Results]]:
     """Flies each arm's agents without and with the filter, called as often as in the study."""
     return {
         name: {
-            "off": evaluate(arm, rta=False, period=arm.config.rta.period),
-            "on": evaluate(arm, rta=True, period=arm.config.rta.period),
+            switch: flown_with(arm, with_rta(arm.config, rta, arm.config.rta.period))
+            for switch, rta in SWITCHES.items()
         }
         for name, arm in arms.items()
     }
@@ -53,7 +51,7 @@ def cross(arms: dict[str, Arm]) -> dict[str, dict[str, Results]]:
 
 def frequency(arm: Arm) -> dict[str, Results]:
     """Flies an arm's agents with the filter called every 1, 5 and 10 s."""
-    return {f"{period:g}": evaluate(arm, rta=True, period=period) for period in PERIODS}
+    return {f"{period:g}": flown_with(arm, with_rta(arm.config, True, period)) for period in PERIODS}
 
 
 def with_rta(config: Config, rta: bool, period: float) -> Config:
@@ -61,56 +59,37 @@ def with_rta(config: Config, rta: bool, period: float) -> Config:
     return replace(config, train=replace(config.train, rta=rta), rta=replace(config.rta, period=period))
 
 
-def evaluate(arm: Arm, rta: bool, period: float) -> Results:
-    """Evaluates the arm's agents on the study's test cases, with the filter off or called every `period` s."""
-    return flown_with(arm, with_rta(arm.config, rta, period))
-
-
 def flown_with(arm: Arm, config: Config) -> Results:
     """Evaluates the arm's agents with a configuration; returns the study's own results if it is the arm's."""
     if config == arm.config:
         return arm.results
-    record, config = flights_with(arm, config)
+    record, config = flights_with(arm, config, config.train.final_episodes)
     return report(record, config, TEST_CASES, len(arm.digests))
 
 
-def flights_with(arm: Arm, config: Config) -> tuple[Episodes, Config]:
-    """Flies the arm's agents on the study's test cases; returns their episodes and the settled configuration."""
-    episodes = config.train.final_episodes
-    experiment = Experiment(config, len(arm.digests) * episodes)
-    return play(arm.policy.to(experiment.device), experiment, episodes, TEST_CASES), experiment.config
+def flights_with(arm: Arm, config: Config, cases: int) -> tuple[Episodes, Config]:
+    """Flies the arm's agents on common test cases; returns their episodes and the settled configuration."""
+    experiment = Experiment(config, len(arm.digests) * cases)
+    return play(arm.policy.to(experiment.device), experiment, cases, TEST_CASES), experiment.config
 
 
-def unlearned(config: Config, rta: bool, episodes: int) -> Experiment:
-    """Returns an experiment for controllers that are not trained, with the filter off or called as in the study."""
-    return Experiment(with_rta(config, rta, config.rta.period), episodes)
+def evaluate(name: str, config: Config) -> Results:
+    """Evaluates a controller that is not trained on the study's test cases."""
+    cases = config.train.final_episodes
+    experiment = Experiment(config.with_solver("auto"), cases)
+    return report(play_controller(name, experiment, cases, TEST_CASES), experiment.config, TEST_CASES)
 
 
 def baselines(config: Config) -> dict[str, dict[str, Results]]:
     """Evaluates every controller of BASELINES on the study's test cases, without and with the filter."""
-    episodes = config.train.final_episodes
-    experiments = {"off": unlearned(config, False, episodes), "on": unlearned(config, True, episodes)}
-
-    def flown(name: str, experiment: Experiment) -> Results:
-        record = play_controller(name, experiment, episodes, TEST_CASES)
-        return report(record, experiment.config, TEST_CASES)
-
-    return {
-        name: {switch: flown(name, experiment) for switch, experiment in experiments.items()}
-        for name in BASELINES
-    }
+    flown = {switch: with_rta(config, rta, config.rta.period) for switch, rta in SWITCHES.items()}
+    return {name: {switch: evaluate(name, own) for switch, own in flown.items()} for name in BASELINES}
 
 
 def front(config: Config) -> dict[str, Results]:
     """Evaluates by name each guidance that leads the Sun, with the filter; it decides at each call of the filter."""
-    cases = config.train.final_episodes
-    experiment = Experiment(with_rta(config, True, FILTER_PERIOD), cases)
-
-    def flown(name: str) -> Results:
-        record = play_controller(name, experiment, cases, TEST_CASES)
-        return report(record, experiment.config, TEST_CASES)
-
-    return {name: flown(name) for name, orbit in GUIDANCE.items() if orbit.lead}
+    filtered = with_rta(config, True, FILTER_PERIOD)
+    return {name: evaluate(name, filtered) for name, orbit in GUIDANCE.items() if orbit.lead}
 
 
 def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:
@@ -120,79 +99,45 @@ def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:
     """
     bounds = load(BOUNDS, Config()).uncertainty
     filters = {"off": (False, Uncertainty()), "nominal": (True, Uncertainty()), "robust": (True, bounds)}
-    found: dict[str, dict[str, dict[str, Results]]] = {plant: {name: {} for name in arms} for plant in WORLDS}
-    for names in side_by_side(arms):
-        for plant, (switch, (rta, uncertainty)) in product(WORLDS, filters.items()):
-            flown = in_world([arms[name] for name in names], plant, rta, uncertainty)
-            for name, results in zip(names, flown, strict=True):
-                found[plant][name][switch] = results
-    return found
+    return {
+        plant: {
+            name: {switch: in_world(arm, plant, *given) for switch, given in filters.items()}
+            for name, arm in arms.items()
+        }
+        for plant in WORLDS
+    }
 
 
-def side_by_side(arms: dict[str, Arm]) -> list[list[str]]:
-    """Returns names of arms in groups whose agents can fly in one environment, since their settings agree."""
-    groups: list[tuple[tuple[Any, ...], list[str]]] = []
-    for name, arm in arms.items():
-        config = with_rta(arm.config, True, FILTER_PERIOD)
-        train, ppo = config.train, config.ppo
-        needs = (
-            *(config.inspection, config.rta, config.chief, len(arm.digests)),
-            *(train.device, train.compile, train.final_episodes),
-            *(ppo.hidden, ppo.log_std_bounds, ppo.tanh_outputs, ppo.action_power),
-        )
-        group = next((names for others, names in groups if others == needs), None)
-        if group is None:
-            groups.append((needs, [name]))
-        else:
-            group.append(name)
-    return [names for _, names in groups]
+def in_world(arm: Arm, plant: str, rta: bool, uncertainty: Uncertainty) -> Results:
+    """Evaluates the arm's agents in the plant of a file, the filter on or off and with this uncertainty.
 
-
-def in_world(arms: Sequence[Arm], plant: str, rta: bool, uncertainty: Uncertainty) -> list[Results]:
-    """Flies the agents of arms side by side in the plant of a file, the filter on or off and with this uncertainty."""
-    first = arms[0]
-    own = with_rta(first.config, rta, FILTER_PERIOD)
+    The results lack the configuration, which would be repeated often.
+    """
+    config = with_rta(arm.config, rta, FILTER_PERIOD).with_solver("auto")
     if not uncertainty.is_zero:  # the paper's filter has no error bounds
-        own = replace(own, rta=replace(own.rta, filter="checked"))
-    config = replace(
-        own,
-        plant=load(PLANTS / f"{plant}.toml", Config()).plant,
-        uncertainty=uncertainty,
-    )
-    seeds = len(first.digests)
-    cases = min(WORLDS_CASES, config.train.final_episodes)
-    experiment = Experiment(config, seeds * cases)
-    agents = stacked(config, [arm.policy for arm in arms]).to(experiment.device)
-    record = play(agents, experiment, cases, TEST_CASES)
-    return [in_short(own, experiment.config, seeds) for own in record.split(len(arms))]
-
-
-def in_short(record: Episodes, config: Config, seeds: int) -> Results:
-    """Returns `report` with the reward of each seed, and without the configuration, which would be repeated often."""
-    rewards = record.metrics[METRICS.index("reward")].unflatten(0, (seeds, -1)).cpu().numpy()
-    results = report(record, config, TEST_CASES, seeds)
+        config = replace(config, rta=replace(config.rta, filter="checked"))
+    world = load(PLANTS / f"{plant}.toml", Config()).plant
+    config = replace(config, plant=world, uncertainty=uncertainty)
+    record, config = flights_with(arm, config, min(WORLDS_CASES, config.train.final_episodes))
+    results = report(record, config, TEST_CASES, len(arm.digests))
     del results["config"]
-    return results | {"reward_of_seeds": [float(value) for value in iqm(rewards)]}
+    return results
 
 
 def progress(arms: dict[str, Arm], config: Config) -> dict[str, dict[str, list[float]]]:
     """Returns by arm, and for "guidance" with the filter, the inspected weight over time, IQM over the test cases."""
+    found = {}
+    for name, arm in arms.items():
+        seeds, cases = len(arm.digests), arm.config.train.final_episodes
+        experiment = Experiment(arm.config, seeds * cases)
+        env = experiment.env(cases, experiment.generators([TEST_CASES] * seeds), compiled=experiment.compiled)
+        starts = test_cases(arm.config, cases, TEST_CASES).repeat(seeds)
+        found[name] = weights_over_time(env, agent(arm.policy.to(experiment.device), env), starts)
     cases = config.train.final_episodes
-    every = FILTER_PERIOD
-    experiment = Experiment(with_rta(config, True, every), cases)
-    env = experiment.env(cases, decide_every=every, compiled=experiment.compiled)
-    controller = classical(GUIDE, env, TEST_CASES, every)
-    curve = weights_over_time(env, controller, test_cases(config, cases, TEST_CASES))
-    return {name: arm_progress(arm) for name, arm in arms.items()} | {"guidance": curve}
-
-
-def arm_progress(arm: Arm) -> dict[str, list[float]]:
-    """Returns the inspected weight over time of an arm's agents."""
-    seeds, cases = len(arm.digests), arm.config.train.final_episodes
-    experiment = Experiment(arm.config, seeds * cases)
-    env = experiment.env(cases, experiment.generators([TEST_CASES] * seeds), compiled=experiment.compiled)
-    starts = test_cases(arm.config, cases, TEST_CASES).repeat(seeds)
-    return weights_over_time(env, agent(arm.policy.to(experiment.device), env), starts)
+    experiment = Experiment(with_rta(config, True, FILTER_PERIOD).with_solver("auto"), cases)
+    env = experiment.env(cases, decide_every=FILTER_PERIOD, compiled=experiment.compiled)
+    guidance = classical(GUIDE, env, TEST_CASES, FILTER_PERIOD)
+    return found | {"guidance": weights_over_time(env, guidance, test_cases(config, cases, TEST_CASES))}
 
 
 class Weights(Observer):
@@ -218,12 +163,6 @@ def weights_over_time(env: InspectionEnv, controller: Controller, starts: Starts
     }
 
 
-def episode(arm: Arm) -> Arrays:
-    """Flies the first seed from the first test case, in the configuration of training."""
-    experiment = Experiment(arm.config, 1)
-    return common_episode(arm.of_seed(0).to(experiment.device), experiment)
-
-
 def worst_success(path: Path) -> tuple[int, int] | None:
     """Returns seed's place and case of the success that violates limits for the largest share of its time, if any."""
     names = "outcome", "outcome_names", "violation_seconds"
@@ -235,11 +174,16 @@ def worst_success(path: Path) -> tuple[int, int] | None:
     return (place, case) if share[place, case] > 0.0 else None
 
 
+def episode(arm: Arm, place: int = 0, case: int = 0) -> Arrays:
+    """Flies an arm's seed, counted from 0, from a test case, in the configuration of training."""
+    experiment = Experiment(arm.config, 1)
+    return common_episode(arm.of_seed(place).to(experiment.device), experiment, case)
+
+
 def violation(arm: Arm, place: int, case: int) -> Arrays:
     """Flies an arm's seed from a test case; returns the episode with its `seed` and `case`."""
-    experiment = Experiment(arm.config, 1)
-    flown = common_episode(arm.of_seed(place).to(experiment.device), experiment, case)
-    return flown | {"seed": np.array(arm.results["seeds"][place]), "case": np.array(case)}
+    seed = arm.results["seeds"][place]
+    return episode(arm, place, case) | {"seed": np.array(seed), "case": np.array(case)}
 
 
 def demonstration(config: Config, rta: bool) -> Arrays:

@@ -5,10 +5,8 @@ The text of the page is in `page.html.j2`, the parts that all pages share are in
 
 import base64
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 
@@ -18,7 +16,7 @@ from study.errors import as_input_error
 from study.files import write_text
 from study.flight.figures import Episode, effort
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate, Results, measured
-from study.report.figures import ARM_LABELS, TRAINING, label
+from study.report.figures import ARM_LABELS, label
 from study.report.inputs import Inputs
 from study.report.tables import of_seeds, over_seeds, throughput
 from study.web import replay
@@ -27,7 +25,6 @@ from study.web.template import render
 REPLAYED_ROWS = 400  # of an episode, about one per action; three.js is most of the page
 MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 PAPER = PAPER_METRICS | PAPER_VIOLATIONS
-DIGITS = {name: paper.digits for name, paper in PAPER.items()} | {"success": 1}
 
 
 def write(inputs: Inputs) -> None:
@@ -36,8 +33,8 @@ def write(inputs: Inputs) -> None:
     Raises:
         InputError: the pages cannot be written.
     """
-    if inputs.arms:
-        episodes = [str(inputs.directory / f"episode_{arm}.npz") for arm in inputs.arms]
+    if inputs.episodes:
+        episodes = [str(inputs.directory / f"episode_{arm}.npz") for arm in inputs.episodes]
         replay.write(episodes, inputs.directory / "replay.html", REPLAYED_ROWS, report="../report.html")
     with as_input_error(f"--study {inputs.study}: cannot write its report", OSError):
         write_text(inputs.study / "report.html", document(inputs))
@@ -45,11 +42,23 @@ def write(inputs: Inputs) -> None:
 
 def document(inputs: Inputs) -> str:
     """Returns the whole page."""
+
+    def image(name: str) -> str:
+        """Returns a figure as a data URL, which makes it part of the page."""
+        path = inputs.directory / name
+        return f"data:{MEDIA_TYPES[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
+
+    def files(patterns: Sequence[str]) -> list[str]:
+        """Returns the study's files that match, as paths relative to the study."""
+        found = [path for pattern in patterns for path in sorted(inputs.study.glob(pattern))]
+        return [path.relative_to(inputs.study).as_posix() for path in found]
+
     return render(
         "report/page.html.j2",
-        filters=FILTERS,
+        filters={"fixed": fixed, "percent": percent, "plain": plain},
         inputs=inputs,
         columns=inputs.columns,
+        guidance=inputs.front[GUIDE],
         flyers={f"agents, {label(arm)}": flown for arm, flown in inputs.cross.items()} | inputs.baselines,
         period=f"{inputs.config.rta.period:g}",
         GUIDE=GUIDE,
@@ -58,20 +67,19 @@ def document(inputs: Inputs) -> str:
         labels=ARM_LABELS,
         metrics=PAPER_METRICS,
         violations=PAPER_VIOLATIONS,
-        curves=TRAINING,
+        paper=PAPER,
         measured=measured,
         shown=shown,
-        published=published,
         difference=difference,
-        throughput=throughput(inputs.everyone, inputs.provenance),
-        weight_at=weight_at,
-        worst_seed=worst_seed,
-        other_world=other_world,
+        throughput=throughput(inputs.arms, inputs.provenance),
+        interp=np.interp,
+        model=asdict(PlantParameters()),
+        of_seeds=of_seeds,
         over_seeds=over_seeds,
         effort=effort,
         violated=violated,
-        image=partial(embedded, inputs.directory),
-        files=partial(matching, inputs.study),
+        image=image,
+        files=files,
     )
 
 
@@ -91,18 +99,9 @@ def plain(number: Estimate, digits: int) -> str:
     return (fixed if number.interval else percent)(number.value, digits)
 
 
-# filters of the template
-FILTERS: dict[str, Callable[..., str]] = {"fixed": fixed, "percent": percent, "plain": plain}
-
-
 def shown(results: Results, name: str) -> str:
     """Returns an evaluation's number for a metric, a constraint or "success", with the digits of the paper's tables."""
-    return plain(measured(results, name), DIGITS[name])
-
-
-def published(arm: str, name: str) -> str:
-    """Returns the paper's number for a metric or a constraint and an arm."""
-    return plain(PAPER[name].by_arm[arm], DIGITS[name])
+    return plain(measured(results, name), 1 if name == "success" else PAPER[name].digits)
 
 
 def difference(ours: Estimate, paper: Estimate, digits: int) -> tuple[str, bool]:
@@ -113,37 +112,9 @@ def difference(ours: Estimate, paper: Estimate, digits: int) -> tuple[str, bool]
     return f"{ours.value - paper.value:+z.{digits}f}", apart
 
 
-def worst_seed(results: Results) -> float:
-    """Returns the lowest reward (IQM) of an arm's seeds."""
-    return min(of_seeds(results, "reward"))
-
-
-def other_world(results: Results) -> bool:
-    """Tells whether an arm flew in a plant that is not the model."""
-    return results["config"]["plant"] != asdict(PlantParameters())
-
-
-def weight_at(curve: dict[str, list[float]], time: float) -> float:
-    """Returns the inspected weight after `time` s from a curve of `progress`."""
-    return float(np.interp(time, curve["time_s"], curve["weight"]))
-
-
 def violated(episode: Episode) -> dict[str, str]:
     """Returns the constraints that an episode violates in some row, with the share of violating rows in percent."""
     shares = {
         name[2:]: 100.0 * float(np.mean(h < 0.0)) for name, h in episode.items() if name.startswith("h_")
     }
     return {PAPER_VIOLATIONS[name].label: percent(share) for name, share in shares.items() if share}
-
-
-def embedded(directory: Path, name: str) -> str:
-    """Returns an image as a data URL, which makes it part of the page."""
-    path = directory / name
-    return f"data:{MEDIA_TYPES[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
-
-
-def matching(study: Path, patterns: Sequence[str]) -> list[str]:
-    """Returns files below a study that match the patterns, as paths relative to the study."""
-    return [
-        path.relative_to(study).as_posix() for pattern in patterns for path in sorted(study.glob(pattern))
-    ]

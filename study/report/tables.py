@@ -5,7 +5,6 @@ import io
 import math
 from collections.abc import Iterable
 from itertools import groupby
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from inspection.transition import METRICS
 from rta.names import CONSTRAINTS
 from study.config import ARMS
 from study.errors import MALFORMED, as_input_error
-from study.files import read_json_lines, write_json, write_text
+from study.files import write_text
 from study.flight.summary import summary_of_runs
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate, Published, Results, measured
 from study.report.inputs import Inputs
@@ -31,28 +30,23 @@ def write(inputs: Inputs) -> None:
         InputError: the data are damaged, or the tables cannot be written.
     """
     with as_input_error(f"--study {inputs.study}: cannot read what its tables are made from", *MALFORMED):
+        worlds = inputs.worlds.items()
         tables = {
+            "arms": [{"arm": name} | tails(results) for name, results in inputs.arms.items()],
+            "baselines": cross("controller", inputs.baselines),
             "cross": cross("arm", inputs.cross),
-            "throughput": throughput(inputs.everyone, inputs.provenance),
-            "arms": [{"arm": name} | tails(results) for name, results in inputs.everyone.items()],
+            "frequency": [{"period_s": s} | evaluation(results) for s, results in inputs.frequency.items()],
+            "throughput": throughput(inputs.arms, inputs.provenance),
+            "worlds": [{"plant": plant} | row for plant, arms in worlds for row in cross("arm", arms)],
         }
-        if inputs.arms:
+        if inputs.papers:
             tables["table2"] = comparison("metric", PAPER_METRICS, inputs.columns)
             tables["table3"] = comparison("constraint", PAPER_VIOLATIONS, inputs.columns)
-        if inputs.frequency:
-            tables["frequency"] = frequency(inputs.frequency)
-        if inputs.worlds:
-            tables["worlds"] = [
-                {"plant": plant} | row for plant, arms in inputs.worlds.items() for row in cross("arm", arms)
-            ]
-        if inputs.baselines:
-            tables["baselines"] = cross("controller", inputs.baselines)
-        texts = {name: text(rows, rows[0]) for name, rows in tables.items()}
+        texts = {name: text(rows, rows[0]) for name, rows in tables.items() if rows}
 
     with as_input_error(f"--study {inputs.study}: cannot write its tables", OSError):
         for name, content in texts.items():
             write_text(inputs.directory / f"{name}.csv", content)
-        write_json(inputs.directory / "throughput.json", {row["arm"]: row for row in tables["throughput"]})
 
 
 def text(rows: list[Row], columns: Iterable[str]) -> str:
@@ -148,22 +142,11 @@ def cross(kind: str, evaluations: dict[str, dict[str, Results]]) -> list[Row]:
     ]
 
 
-def frequency(evaluations: dict[str, Results]) -> list[Row]:
-    """Returns a row per filter period, in s."""
-    return [{"period_s": period} | evaluation(results) for period, results in evaluations.items()]
-
-
-def training(arm: str, path: Path) -> list[Row]:
-    """Returns a row per periodic evaluation in a file and metric of an arm: IQM and interval over seeds x cases.
-
-    There are no rows without a file: training was shorter than the evaluations' interval.
-    """
-    if not path.exists():
-        return []
-    evaluations = read_json_lines(path, "evaluations of a run")
+def training(arm: str, evaluations: list[dict[str, Any]]) -> list[Row]:
+    """Returns a row per periodic evaluation and metric of an arm: IQM and interval over seeds x cases."""
     rows = []
-    for interactions, of_seeds in groupby(evaluations, key=lambda line: line["interactions"]):
-        cases = [line["cases"] for line in of_seeds]
+    for interactions, seeds in groupby(evaluations, key=lambda line: line["interactions"]):
+        cases = [line["cases"] for line in seeds]
         for metric in METRICS:
             result = summary_of_runs(np.array([of_seed[metric] for of_seed in cases]))
             values = (interactions, arm, metric, result["iqm"], *result["ci95"])

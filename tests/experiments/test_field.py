@@ -14,8 +14,8 @@ from study.config import EVALUATION_CASES, TEST_CASES
 from study.experiment import Experiment
 from study.files import ROOT
 from study.flight.evaluation import evaluate
-from study.report.agents import Arm, load_arm
 from study.report.flights import with_rta
+from study.report.inputs import Arm, load_arm
 
 pytestmark = pytest.mark.usefixtures("small_pools")
 

@@ -1,7 +1,6 @@
 """The report's tables against numbers worked out by hand."""
 
 import csv
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,6 @@ from study.config import StudyConfig
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS
 from study.report import tables
 from study.report.inputs import Inputs
-
-PROVENANCE = {"device": "abacus", "ranks": 3, "threads": 2}
 
 
 def evaluation(value: float) -> dict[str, Any]:
@@ -52,8 +49,7 @@ def inputs(tmp_path: Path) -> Inputs:
         study=tmp_path,
         config=StudyConfig(),
         arms=arms,
-        own={},
-        provenance=PROVENANCE,
+        provenance={"device": "abacus", "ranks": 3, "threads": 2},
         front={"quick": evaluation(4.0)},
         worlds={"harsh": {"rta": {"robust": evaluation(9.0)}}},
         progress={},
@@ -68,25 +64,7 @@ def inputs(tmp_path: Path) -> Inputs:
     )
 
 
-@pytest.fixture
-def evaluations(tmp_path: Path) -> Path:
-    """Returns the file of two seeds' periodic evaluations."""
-    points = [(100, 0.0), (100, 4.0), (200, 1.0), (200, 1.0)]  # two seeds at either
-    lines = [
-        {"interactions": interactions, "cases": {name: [first, first + 1.0] for name in METRICS}}
-        for interactions, first in points
-    ]
-    path = tmp_path / "evaluations.jsonl"
-    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
-    return path
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def test_table_2_sets_the_papers_numbers_beside_ours() -> None:
+def test_the_papers_numbers_are_beside_ours() -> None:
     columns = {"rta": arm(3.0), "other": evaluation(7.0)}
     table = {row["metric"]: row for row in tables.comparison("metric", PAPER_METRICS, columns)}
     assert list(table) == list(METRICS[:5])
@@ -104,18 +82,11 @@ def test_table_2_sets_the_papers_numbers_beside_ours() -> None:
         "other_low": 6.0,
         "other_high": 8.0,
     }
-
-
-def test_table_3_sets_the_papers_numbers_beside_ours() -> None:
-    columns = {"no_rta": arm(2.0), "rta": arm(3.0), "other": evaluation(7.0)}
-    table = tables.comparison("constraint", PAPER_VIOLATIONS, columns)
-    assert {row["constraint"] for row in table} == {"any", *CONSTRAINTS}
-    assert table[0] == {
+    shares = tables.comparison("constraint", PAPER_VIOLATIONS, columns)
+    assert {row["constraint"] for row in shares} == {"any", *CONSTRAINTS}
+    assert shares[0] == {
         "constraint": "any",
         "label": "Any constraint",
-        "no_rta_percent": 0.2,
-        "no_rta_paper_percent": 4.736,
-        "no_rta_difference": pytest.approx(-4.536),
         "rta_percent": pytest.approx(0.3),
         "rta_paper_percent": 0.215,
         "rta_difference": pytest.approx(0.085),
@@ -123,7 +94,12 @@ def test_table_3_sets_the_papers_numbers_beside_ours() -> None:
     }
 
 
-def test_training_summarises_seeds_and_cases_at_every_point(evaluations: Path) -> None:
+def test_training_summarises_seeds_and_cases_at_every_point() -> None:
+    points = [(100, 0.0), (100, 4.0), (200, 1.0), (200, 1.0)]  # two seeds at either
+    evaluations = [
+        {"interactions": interactions, "cases": {name: [first, first + 1.0] for name in METRICS}}
+        for interactions, first in points
+    ]
     table = tables.training("rta", evaluations)
     assert [(row["interactions"], row["metric"]) for row in table] == [
         (n, name) for n in (100, 200) for name in METRICS
@@ -134,55 +110,26 @@ def test_training_summarises_seeds_and_cases_at_every_point(evaluations: Path) -
     assert [table[6][key] for key in ("iqm", "low", "high")] == [1.5, 1.5, 1.5]
 
 
-def test_throughput_counts_the_interactions_of_all_seeds() -> None:
-    assert tables.throughput({"rta": arm(3.0)}, PROVENANCE) == [
-        {
-            "arm": "rta",
-            "seeds": 2,
-            "interactions": 600,
-            "wall_clock_s": 30.0,
-            "interactions_per_s": 40.0,
-            "device": "abacus",
-            "ranks": 3,
-            "threads": 2,
-        }
-    ]
-
-
 def test_files_hold_a_row_per_evaluation(inputs: Inputs) -> None:
     tables.write(inputs)
-    report = inputs.directory
-    cross, frequency = rows(report / "cross.csv"), rows(report / "frequency.csv")
-    assert [(row["arm"], row["filter"], float(row["reward_iqm"])) for row in cross] == [
-        ("no_rta", "off", 1.0),
-        ("no_rta", "on", 2.0),
-        ("rta", "off", 1.0),
-        ("rta", "on", 3.0),
-    ]
-    baselines = rows(report / "baselines.csv")
-    assert [(row["controller"], row["filter"], float(row["reward_iqm"])) for row in baselines] == [
-        ("random", "off", 7.0),
-        ("random", "on", 8.0),
-    ]
-    assert [(row["period_s"], float(row["reward_high"])) for row in frequency] == [
-        ("1", 4.0),
-        ("5", 6.0),
-        ("10", 7.0),
-    ]
-    assert (
-        frequency[1]
-        | {
-            "collision_mean_percent": "0.5",
-            "success_percent": "75.0",
-            "intervention_percent": "12.5",
-            "unsolved_programs": "3",
-        }
-        == frequency[1]
-    )
-    assert [row["guidance_iqm"] for row in rows(report / "table2.csv")] == ["4.0"] * 5
-    assert [row["guidance_percent"] for row in rows(report / "table3.csv")] == ["0.4"] * 14
-    assert json.loads((report / "throughput.json").read_text())["no_rta"]["interactions_per_s"] == 40.0
-    assert [row["arm"] for row in rows(report / "throughput.csv")] == ["no_rta", "rta"]
+
+    def rows(name: str, *columns: str) -> list[tuple[str, ...]]:
+        with (inputs.directory / f"{name}.csv").open(newline="") as file:
+            return [tuple(row[column] for column in columns) for row in csv.DictReader(file)]
+
+    flown = [("no_rta", "off", "1.0"), ("no_rta", "on", "2.0"), ("rta", "off", "1.0"), ("rta", "on", "3.0")]
+    assert rows("cross", "arm", "filter", "reward_iqm") == flown
+    random = [("random", "off", "7.0"), ("random", "on", "8.0")]
+    assert rows("baselines", "controller", "filter", "reward_iqm") == random
+    assert rows("worlds", "plant", "arm", "filter", "reward_iqm") == [("harsh", "rta", "robust", "9.0")]
+    assert rows("frequency", "period_s", "reward_high") == [("1", "4.0"), ("5", "6.0"), ("10", "7.0")]
+    shares = rows("frequency", "collision_mean_percent", "success_percent", "intervention_percent")
+    assert shares[1] == ("0.5", "75.0", "12.5")
+    assert rows("frequency", "unsolved_programs")[1] == ("3",)
+    assert rows("table2", "guidance_iqm") == [("4.0",)] * 5
+    assert rows("table3", "guidance_percent") == [("0.4",)] * 14
+    speed = rows("throughput", "arm", "seeds", "interactions_per_s", "device", "ranks", "threads")
+    assert speed[1] == ("rta", "2", "40.0", "abacus", "3", "2")
 
 
 def test_the_interval_over_seeds_is_students() -> None:
