@@ -103,7 +103,7 @@ kernels/waiting.py refilled straight | kernels/test_control.py -k goes_round or 
 kernels/text.py Body.repeat | kernels/test_control.py -k bits_are or one_column
 kernels/operations/scalars.py arithmetic | kernels/test_operations.py
 kernels/compiled.py in_shares | kernels/test_compiled.py -k shares_cover
-study/flight/summary.py iqm stratified_summary upper_bound | study/flight/test_summary.py
+study/flight/summary.py iqm summary_of_runs upper_bound | study/flight/test_summary.py
 study/flight/fly.py Calls.hold | study/flight/test_planted.py -k evaluate
 study/flight/fly.py Limits.hold | study/verification/test_flight.py
 study/verification/tally.py add | study/verification/test_tally.py

@@ -11,7 +11,6 @@ from inspection.orbits import GUIDANCE
 from inspection.world.corners import Recorded
 from ppo.network import Policy
 from settings import InputError
-from study.experiment import Experiment
 from study.flight.state_files import read_actions
 
 
@@ -24,11 +23,6 @@ def agent(policy: Policy, env: InspectionEnv) -> Controller:
         return env.control(policy.mean_action(observation).flatten(0, 1))
 
     return control
-
-
-def untrained(experiment: Experiment, seed: int) -> Policy:
-    """Returns the policy with which `train --seed` begins, on the experiment's device; its mean actions are small."""
-    return experiment.policy(experiment.generators([seed]))
 
 
 def classical(name: str, env: InspectionEnv, seed: int, every: float = 1.0) -> Controller:

@@ -1,8 +1,7 @@
 """Deterministic evaluation over common test cases, in the paper's metrics (Sec. Final Model Performance)."""
 
-import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from rta.names import CONSTRAINTS
 from rta.result import Status
 from study.config import TEST_CASES, Config
 from study.experiment import Experiment, test_cases
-from study.flight.controllers import agent, classical, untrained
+from study.flight.controllers import agent, classical
 from study.flight.fly import Limits, Observer, Progress, Starts, fly
 from study.flight.simulation import Recording
 from study.flight.summary import summary_of_runs
@@ -74,9 +73,8 @@ class Episodes:
     @classmethod
     def join(cls, records: list["Episodes"]) -> "Episodes":
         """Returns the episodes of several records, one after another."""
-        return cls(
-            *(torch.cat([getattr(record, f.name) for record in records], -1) for f in dataclasses.fields(cls))
-        )
+        parts = zip(*(vars(record).values() for record in records), strict=True)
+        return cls(*(torch.cat(part, -1) for part in parts))
 
     def named_extremes(self) -> dict[str, Tensor]:
         """Returns by name the worst value (episodes,) of each of RAW_QUANTITIES, with its natural sign."""
@@ -98,20 +96,9 @@ RAW_QUANTITIES = (
 
 def raw_quantities(x: Tensor) -> Tensor:
     """Returns RAW_QUANTITIES of states (16, B), signed so that the smallest is the worst: (8, B)."""
-    sun, _ = sun_and_earth_in_body(x)
-    distance = norm(x[P])
-    return torch.stack(
-        (
-            distance,
-            -distance,
-            -norm(x[V]),
-            -x[V].abs().amax(0),
-            sun[0].clamp(-1.0, 1.0).arccos().rad2deg(),
-            -x[T],
-            x[E],
-            -x[OMEGA].abs().amax(0).rad2deg(),
-        )
-    )
+    sun_angle = sun_and_earth_in_body(x)[0][0].clamp(-1.0, 1.0).arccos().rad2deg()
+    distance, speed, rate = norm(x[P]), x[V].abs().amax(0), x[OMEGA].abs().amax(0).rad2deg()
+    return torch.stack((distance, -distance, -norm(x[V]), -speed, sun_angle, -x[T], x[E], -rate))
 
 
 class Extremes(Observer):
@@ -170,7 +157,7 @@ def report(record: Episodes, config: Config, seed: int, seeds: int = 1) -> dict[
     calls = record.filter_calls.sum().item()
     rta: dict[str, Any] = {
         "period_s": config.rta.period if config.train.rta else None,
-        "intervention_percent": 100.0 * record.interventions.sum().item() / calls if calls else 0.0,
+        "intervention_percent": 100.0 * record.interventions.sum().item() / max(calls, 1.0),
         "qp_failures": int(record.failures.sum().item()),
         "backup_calls": int(record.backup_calls.sum().item()),
     }
@@ -197,25 +184,21 @@ def report(record: Episodes, config: Config, seed: int, seeds: int = 1) -> dict[
         },
         "episodes": record.outcome.numel(),
         "seed": seed,
-        "config": dataclasses.asdict(config),
+        "config": asdict(config),
     }
 
 
 def play(
-    policy: Policy, experiment: Experiment, episodes: int, seed: int, recorded: list[Recording] | None = None
+    policy: Policy, experiment: Experiment, episodes: int, seed: int, recording: Recording | None = None
 ) -> Episodes:
     """Plays the same common test cases with every seed of a policy at once, deterministically, seed after seed.
 
     Args:
-        recorded: the first episode over time is appended to it.
+        recording: records the first episode.
     """
     env = experiment.env(episodes, experiment.generators([seed] * policy.seeds), compiled=experiment.compiled)
     starts = test_cases(experiment.config, episodes, seed).repeat(policy.seeds)
-    recording = Recording() if recorded is not None else None
-    record = run_episodes(env, agent(policy, env), starts, recording)
-    if recorded is not None and recording:
-        recorded.append(recording)
-    return record
+    return run_episodes(env, agent(policy, env), starts, recording)
 
 
 def common_episode(policy: Policy, experiment: Experiment, case: int = 0) -> dict[str, np.ndarray]:
@@ -235,7 +218,8 @@ def play_controller(name: str, experiment: Experiment, episodes: int, seed: int)
     --seed` begins, `random` draws uniform controls each time, both from `seed`, and `zero` coasts.
     """
     if name == "untrained":
-        return play(untrained(experiment, seed), experiment, episodes, seed)
+        begun = experiment.policy(experiment.generators([seed]))
+        return play(begun, experiment, episodes, seed)
     config, every = experiment.config, None
     if name in GUIDANCE:
         every = config.rta.period if config.train.rta else config.inspection.substep

@@ -35,11 +35,6 @@ def rotate(q: np.ndarray, a: np.ndarray) -> np.ndarray:
     return a + q[:, 3:] * t + np.cross(q[:, :3], t)
 
 
-def angle_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Returns the angles (k,) in degrees between unit vectors, rows (k, 3) of a and b."""
-    return np.degrees(np.arccos(np.clip((a * b).sum(1), -1.0, 1.0)))
-
-
 def speeds(episode: Episode) -> np.ndarray:
     """Returns |v| (k,) in m/s."""
     return np.linalg.norm(episode["velocity"], axis=1)
@@ -138,7 +133,8 @@ def sun_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
     boresight = rotate(episode["quaternion"], np.array([1.0, 0.0, 0.0]))
     theta = episode["sun_angle"]
     sun = np.stack((np.cos(theta), np.sin(theta), np.zeros_like(theta)), 1)
-    ax.plot(episode["time"], angle_deg(boresight, sun), color=BLUE)
+    cosine = (boresight * sun).sum(1).clip(-1.0, 1.0)
+    ax.plot(episode["time"], np.degrees(np.arccos(cosine)), color=BLUE)
     ax.set(ylabel="Sun off boresight (deg)", ylim=(0, 182))
     closest = c.field_of_view / 2 + c.exclusion_buffer
     band(ax, low=math.degrees(closest))

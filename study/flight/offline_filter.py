@@ -49,13 +49,13 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
     """
     parts = list(zip(x.split(CHUNK, 1), desired.split(CHUNK, 1), strict=True))
     shown = bar(len(parts), f"times {CHUNK:,} states", iterable=parts, leave=False)
-    chunks = [chunk(safety_filter, *part) for part in shown]
+    chunks = [filter_chunk(safety_filter, *part) for part in shown]
     result = {name: torch.cat([part[name] for part in chunks]).cpu().numpy() for name in chunks[0]}
     weights = [np.inf if limit.weight is None else limit.weight for limit in safety_filter.limits.values()]
     return result | {"constraints": np.array(CONSTRAINTS), "slack_weight": np.array(weights)}
 
 
-def chunk(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dict[str, Tensor]:
+def filter_chunk(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dict[str, Tensor]:
     """Filters a few states; returns the arrays of `filter_states` that have a row per state."""
     result, (a, b, *_) = safety_filter.correct(x, desired), safety_filter.program.evaluated(x)
     by_state = {

@@ -1,7 +1,6 @@
 """Simulation of one spacecraft under any controller, with all quantities over time."""
 
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
 import tomli_w
@@ -19,17 +18,14 @@ from inspection.transition import METRICS, Transition
 from ppo.network import Policy
 from settings import InputError
 from study.config import Config
-from study.experiment import (
-    Experiment,
-    check_clocks,
-    test_cases,
-)
-from study.flight.controllers import agent, classical, recorded, untrained
-from study.flight.fly import Limits, Observer, Starts, fly
+from study.experiment import Experiment, check_clocks, test_cases
+from study.flight.controllers import agent, classical, recorded
+from study.flight.fly import Limits, Observer, Progress, Starts, fly
 from study.flight.state_files import STATE_FIELDS, read_state
 from study.machine import bar
 
 MAX_ROWS = 10**7
+BAR = "{desc}: {percentage:.0f} %|{bar}| [{elapsed}<{remaining}{postfix}]"
 SCALARS = ("time", "inspected_score", "temperature", "energy", "sun_angle")
 
 
@@ -156,20 +152,10 @@ def simulate(
         paper's `chief_points`, `chief_normals` (N, 3) and `chief_triangles` (F, 3, 3) in its own frame.
     """
     recording = Recording(fails=False)
-    with bar(env.clocks.count(duration), "steps", desc=f"flying {duration:g} s", leave=False) as shown:
-        fly(env, controller, start, duration, [recording, Steps(shown)])
+    with bar(1, "flights", desc=f"flying {duration:g} s", leave=False, bar_format=BAR) as shown:
+        fly(env, controller, start, duration, [recording, Progress(shown, duration)])
     recording.end()
     return recording.arrays()
-
-
-class Steps(Observer):
-    """Shows every hold on a bar."""
-
-    def __init__(self, shown: Any) -> None:
-        self.shown = shown
-
-    def hold(self, hold: Hold, running: Tensor) -> None:
-        self.shown.update(1)
 
 
 def run(
@@ -194,7 +180,7 @@ def run(
     decide_every = decides_every(experiment.config, controller, step)
     env = experiment.env(1, None, decide_every, step, experiment.compiled)
     if controller == "untrained":
-        policy = untrained(experiment, seed)
+        policy = experiment.policy(experiment.generators([seed]))
     if policy:
         commander = agent(policy.to(experiment.device), env)
     elif actions:

@@ -73,15 +73,15 @@ def stratified_bootstrap(
     return np.concatenate(iqms)
 
 
-def stratified_summary(scores: np.ndarray, seed: int = 0) -> Summary:
-    """Returns the `Summary` of all scores (runs, tasks), with the interval of the stratified bootstrap."""
+def summary_of_runs(scores: np.ndarray, seed: int = 0) -> Summary:
+    """Returns the `Summary` of scores (runs, tasks), with the interval of the stratified bootstrap.
+
+    The interval of a single run is that of `summary` over its tasks.
+    """
+    if len(scores) == 1:
+        return summary(scores[0], seed)
     resampled = stratified_bootstrap(scores, np.random.default_rng(seed))
     return summarised(scores, np.percentile(resampled, [2.5, 97.5]))
-
-
-def summary_of_runs(scores: np.ndarray) -> Summary:
-    """Returns `stratified_summary` of scores (runs, tasks), or for a single run `summary` over its tasks."""
-    return summary(scores[0]) if len(scores) == 1 else stratified_summary(scores)
 
 
 def upper_bound(events: int, trials: int) -> float:

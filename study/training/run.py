@@ -408,12 +408,12 @@ class Run:
 
         with on_signal(stop):
             cases = self.config.train.final_episodes
-            recorded: list[Recording] = []
-            record = play(self.policy, self.experiment, cases, TEST_CASES, recorded)
+            recording = Recording()
+            record = play(self.policy, self.experiment, cases, TEST_CASES, recording)
         results = report(record, self.config, TEST_CASES)
         with self.naming_the_checkpoint():
             write_json(self.directory / "evaluation.json", results)
-            episode_figure(recorded[0].arrays(), self.config.inspection, self.directory / "episode.png")
+            episode_figure(recording.arrays(), self.config.inspection, self.directory / "episode.png")
         written = f"Written to {self.directory}: policy.pt, evaluation.json, episode.png"
         return "\n".join((tables(results), written, what_next(self.directory)))
 

@@ -275,11 +275,7 @@ function frame(now) {
     play.left -= Math.floor(play.left);
     if (count) show();
   }
-  if (scene) {
-    const { clientWidth: width, clientHeight: height } = $("scene");
-    if (width !== play.width || height !== play.height) scene.size(play.width = width, play.height = height);
-    scene.show(flight, flight.outcome ? 1 : play.left);
-  }
+  if (scene) scene.show(flight, flight.outcome ? 1 : play.left);
   requestAnimationFrame(frame);
 }
 

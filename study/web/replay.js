@@ -4,6 +4,8 @@
 const data = JSON.parse(document.getElementById("data").textContent);
 const { runs } = data;
 const FOOT = 0.04; // share of a plot's height in which interventions are marked
+const LOOKS = [["first", 1.4], ["second", 1.4], ["third", 1.4]]; // colour and width of a plot's lines
+const HELD = [["wanted", 2.5], ["first", 1.2]]; // of a desired and an applied control
 const ACROSS = 1000, DOWN = 100; // size of a plot, in its own units
 const SVG = "http://www.w3.org/2000/svg"; // a name only; nothing is loaded from there
 
@@ -99,7 +101,8 @@ function drawScene(run, i) {
   const canvas = element("canvas", "scene", figure);
   canvas.setAttribute("aria-label", "The deputy, the chief and the Sun");
   const status = element("figcaption", "status", figure);
-  const numbers = data.sections[data.beside].map((panel) => {
+  const [beside] = Object.values(data.sections);
+  const numbers = beside.map((panel) => {
     const own = panel.runs[i], [{ values }] = own.lines;
     const decimals = decimals_of(panel.range[1] - panel.range[0]);
     return (row) => `${own.title.toLowerCase()} ${shortened(values[row], decimals)} ${own.unit}`.trim();
@@ -109,11 +112,6 @@ function drawScene(run, i) {
     film = new Film(canvas, run, looks);
     film.view = byId("view").value;
     film.turned = () => show(time);
-    new ResizeObserver(() => {
-      if (!canvas.clientWidth) return;
-      film.size(canvas.clientWidth, canvas.clientHeight);
-      film.show(time);
-    }).observe(canvas);
   } catch (error) { // no WebGL here
     canvas.replaceWith(element("p", "missing", figure, "This browser draws no WebGL: the plots below still play."));
   }
@@ -157,9 +155,10 @@ function drawPanel(panel, run, i, [low, high], parent) {
   const caption = element("figcaption", "", figure);
   element("b", "", caption, `${label(i)}${panel.title} `);
   element("span", "", caption, panel.unit && `(${panel.unit}) `);
-  const values = panel.lines.map((line) => {
+  const looks = panel.held ? HELD : LOOKS;
+  const values = panel.lines.map((_, k) => {
     const value = element("span", "value", caption);
-    value.style.color = `var(--${line.colour})`;
+    value.style.color = `var(--${looks[k][0]})`;
     return value;
   });
   const plot = element("div", "plot", figure);
@@ -186,11 +185,12 @@ function drawPanel(panel, run, i, [low, high], parent) {
     element("span", "tick y", plot, text).style.top = `${y(value)}%`;
   }
   for (const limit of limits) line(`M0 ${y(limit)}H${ACROSS}`, 1, "text", "2 3");
-  for (const each of panel.lines) {
-    const step = each.held ? (t, value) => `H${x(t)}V${y(value)}` : (t, value) => `L${x(t)} ${y(value)}`;
+  const step = (t, value) => (panel.held ? `H${x(t)}V${y(value)}` : `L${x(t)} ${y(value)}`);
+  panel.lines.forEach((each, k) => {
     const path = each.values.map((value, row) => (row ? step(run.time[row], value) : `M${x(run.time[0])} ${y(value)}`));
-    line(path.join(""), each.width, each.colour);
-  }
+    const [colour, width] = looks[k];
+    line(path.join(""), width, colour);
+  });
   const foot = y(low + FOOT * (high - low));
   const corrected = run.interventions[panel.acts] ?? [];
   line(corrected.map(([from, to]) => `M${x(from)} ${foot}H${x(to)}`).join(""), 6, "corrected");

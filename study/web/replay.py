@@ -32,7 +32,6 @@ MAX_AHEAD = 400  # rows of a run for which the page has the free flight
 AHEAD = 25  # points of a free flight
 LARGEST = 1e12  # of any number; its square is finite in single precision
 DIGITS, PLACE_DIGITS, TIME_DIGITS = 4, 6, 8  # significant digits of the page's numbers
-FLIGHT = "Flight"  # the section whose numbers are also shown beside the scene
 HULL = "clearance"  # the array in m that exists if the chief's hull is the keep-out zone
 RISE = 0.01  # height of drawn points above the mesh, in chief radii
 WITHIN = 0.97  # without a mesh, corners of the drawn body, as a share of the way to the points
@@ -40,13 +39,9 @@ WITHIN = 0.97  # without a mesh, corners of the drawn body, as a share of the wa
 # shape of a row of every required array over time
 ROWS: dict[str, tuple[int, ...]] = {
     **dict.fromkeys(("time", "temperature", "energy", "sun_angle", "inspected_score"), ()),
-    **{
-        "position": (3,),
-        "velocity": (3,),
-        "quaternion": (4,),
-        "control_desired": (6,),
-        "control_applied": (6,),
-    },
+    **dict.fromkeys(("position", "velocity"), (3,)),
+    "quaternion": (4,),
+    **dict.fromkeys(("control_desired", "control_applied"), (6,)),
     **{f"h_{name}": () for name in CONSTRAINTS},
 }
 # arrays of a chief that is not the paper's
@@ -160,7 +155,6 @@ def content(runs: Sequence[Replayed]) -> dict[str, Any]:
     return {
         "runs": [run_data(run, episode) for run, episode in zip(runs, episodes, strict=True)],
         "sections": sections,
-        "beside": FLIGHT,
         "step": runs[0].c.action_period,
     }
 
@@ -180,12 +174,17 @@ def thinned(run: Replayed) -> Episode:
 def run_data(run: Replayed, episode: Episode) -> dict[str, Any]:
     """Returns the page's data of a run, thinned to `episode`, besides its panels.
 
-    Arrays are (rows, ...), times in s, positions in m.
+    Arrays are (rows, ...), times in s, positions in m. A point that is never inspected has no time of inspection.
     """
+    whole, times = run.episode, rounded(run.episode["time"], TIME_DIGITS)
+    first, ever = whole["inspected"].argmax(0), whole["inspected"].max(0).tolist()
+    # a row covers the time until the next
+    edges = np.diff(whole["intervened"][:-1].T, prepend=False, append=False)
+    corrected = [[times[row] for row in np.flatnonzero(program)] for program in edges]
     return {
         "name": run.name,
         "time": rounded(episode["time"], TIME_DIGITS),
-        "end": rounded(run.episode["time"][-1:], TIME_DIGITS)[0],
+        "end": times[-1],
         **{name: rounded(episode[name], PLACE_DIGITS) for name in ("position", "quaternion")},
         "sun_angle": episode["sun_angle"],
         "desired": episode["control_desired"][:, :3],
@@ -193,10 +192,10 @@ def run_data(run: Replayed, episode: Episode) -> dict[str, Any]:
         "ahead": ahead(episode, run.c),
         **drawn(run.c),
         **chief(run, episode),
-        "inspected": inspection_times(run.episode),
+        "inspected": [times[row] if seen else None for row, seen in zip(first, ever, strict=True)],
         "interventions": {
-            control: interventions(run.episode, program)
-            for program, control in enumerate(("thrust", "torque"))
+            control: list(zip(ends[::2], ends[1::2], strict=True))
+            for control, ends in zip(("thrust", "torque"), corrected, strict=True)
         },
     }
 
@@ -251,20 +250,6 @@ def shaded(run: Replayed, episode: Episode) -> list[list[int]]:
     return [row.nonzero().flatten().tolist() for row in dark.T]
 
 
-def interventions(episode: Episode, program: int) -> list[list[float]]:
-    """Returns the intervals [start, end] in s in which the filter's program, 0 for thrust, 1 for torque, corrected."""
-    intervened = episode["intervened"][:-1, program]  # a row covers the time until the next
-    edges = np.flatnonzero(np.diff(intervened, prepend=False, append=False))
-    return rounded(episode["time"][edges].reshape(-1, 2), TIME_DIGITS)
-
-
-def inspection_times(episode: Episode) -> list[float | None]:
-    """Returns the time in s when each point was inspected, None if it never was."""
-    inspected = episode["inspected"]
-    first = rounded(episode["time"][inspected.argmax(0)], TIME_DIGITS)
-    return [t if ever else None for t, ever in zip(first, inspected.max(0).tolist(), strict=True)]
-
-
 def rounded(values: np.ndarray, digits: int = DIGITS) -> Any:
     """Returns nested lists of numbers with `digits` significant digits, which keeps the page small."""
     if values.ndim > 1:
@@ -275,67 +260,54 @@ def rounded(values: np.ndarray, digits: int = DIGITS) -> Any:
 # plots
 
 
-def line(
-    values: np.ndarray, name: str = "", colour: str = "first", width: float = 1.4, held: bool = False
-) -> dict[str, Any]:
-    """Returns a line of a plot, held or interpolated until the next row; colours are names in `replay.css`."""
-    return {"name": name, "colour": colour, "width": width, "held": held, "values": values}
-
-
 def panel(
     title: str,
     unit: str,
     acts: str | None,
-    *lines: dict[str, Any],
+    values: np.ndarray | dict[str, np.ndarray],
     safe: tuple[float | None, float | None] = (None, None),
+    held: bool = False,
 ) -> dict[str, Any]:
     """Returns a plot over time.
 
     Args:
         acts: the control that changes the quantity, thrust or torque; its interventions are marked in the plot.
+        values: of the line (rows,), or of several lines by name.
         safe: lowest and highest safe value, None for no limit.
+        held: a row's value holds until the next row.
     """
-    return {"title": title, "unit": unit, "lines": lines, "acts": acts, "safe": safe}
+    named = values if isinstance(values, dict) else {"": values}
+    lines = [{"name": name, "values": each} for name, each in named.items()]
+    return {"title": title, "unit": unit, "acts": acts, "lines": lines, "safe": safe, "held": held}
 
 
 def panels(episode: Episode, c: InspectionParameters) -> dict[str, list[dict[str, Any]]]:
-    """Returns all plots over time, by section."""
+    """Returns all plots over time, by section; the numbers of the first section are also shown beside the scene."""
     has_hull = HULL in episode
-    distance = line(np.linalg.norm(episode["position"], axis=1))
-    clearance = [panel("Clearance", "m", "thrust", line(episode[HULL]), safe=(0.0, None))] if has_hull else []
+    distance = np.linalg.norm(episode["position"], axis=1)
     nearest = None if has_hull else c.collision_radius
     control = []
     for acts, first, factor, unit in (("thrust", 0, 1.0, "N"), ("torque", 3, 1e3, "mN m")):
         for i, axis in enumerate("xyz", start=first):
             # the applied control is drawn last, and hides the desired one where both are equal
-            wanted, given = (factor * episode[f"control_{kind}"][:, i] for kind in ("desired", "applied"))
-            lines = (
-                line(wanted, "desired", "wanted", 2.5, held=True),
-                line(given, "applied", width=1.2, held=True),
-            )
-            control.append(panel(f"{acts.capitalize()} {axis}", unit, acts, *lines))
+            lines = {kind: factor * episode[f"control_{kind}"][:, i] for kind in ("desired", "applied")}
+            control.append(panel(f"{acts.capitalize()} {axis}", unit, acts, lines, held=True))
     constraints = []
     for title, unit, factor, names, acts in CONSTRAINT_PANELS:
-        axes = [name[-1] for name in names] if len(names) > 1 else [""]
-        rows = [
-            line(factor * episode[f"h_{name}"], axis, colour)
-            for name, axis, colour in zip(names, axes, ("first", "second", "third"), strict=False)
-        ]
-        constraints.append(panel(title, unit, acts, *rows, safe=(0.0, None)))
+        lines = {name[-1] if len(names) > 1 else "": factor * episode[f"h_{name}"] for name in names}
+        constraints.append(panel(title, unit, acts, lines, safe=(0.0, None)))
     return {
-        FLIGHT: [
+        "Flight": [
             panel("Distance", "m", "thrust", distance, safe=(nearest, c.max_distance)),
-            *clearance,
-            panel("Speed", "m/s", "thrust", line(speeds(episode))),
-            panel("Inspected weight", "", None, line(episode["inspected_score"])),
-            panel("Delta v", "m/s", "thrust", line(episode["delta_v"])),
+            *([panel("Clearance", "m", "thrust", episode[HULL], safe=(0.0, None))] if has_hull else []),
+            panel("Speed", "m/s", "thrust", speeds(episode)),
+            panel("Inspected weight", "", None, episode["inspected_score"]),
+            panel("Delta v", "m/s", "thrust", episode["delta_v"]),
         ],
         "Control, body frame": control,
         "Battery and temperature": [
-            panel("Energy", "kJ", "torque", line(episode["energy"]), safe=(c.min_energy, None)),
-            panel(
-                "Temperature", "°C", "torque", line(episode["temperature"]), safe=(None, c.max_temperature)
-            ),
+            panel("Energy", "kJ", "torque", episode["energy"], safe=(c.min_energy, None)),
+            panel("Temperature", "°C", "torque", episode["temperature"], safe=(None, c.max_temperature)),
         ],
         "Constraints, safe where h ≥ 0": constraints,
     }

@@ -23,7 +23,7 @@ class Scene {
   // and `hull`, null or corners of faces, one after another; looks: those of other scenes that turn with this one
   constructor(canvas, task, looks = first_looks()) {
     this.task = task;
-    this.turned = () => {}; // a page can replace it to react to a turned view
+    this.turned = () => {}; // a page can replace it to react to a turned or resized view
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, logarithmicDepthBuffer: true });
     this.renderer.outputEncoding = THREE.sRGBEncoding;
     this.scene = new THREE.Scene();
@@ -35,6 +35,7 @@ class Scene {
     this.chief();
     this.deputy();
     this.drag(canvas);
+    new ResizeObserver(() => this.fit(canvas)).observe(canvas);
   }
 
   mesh(geometry, colour, more = {}, Material = THREE.MeshStandardMaterial) {
@@ -244,10 +245,12 @@ class Scene {
     camera.updateProjectionMatrix();
   }
 
-  size(width, height) {
+  fit({ clientWidth: width, clientHeight: height }) {
+    if (!width) return;
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
+    this.turned();
   }
 
   // turns the view, angles in rad

@@ -12,7 +12,6 @@ from study import machine
 from study.config import Config
 from study.experiment import Experiment, paper_task
 from study.flight import evaluation
-from study.flight.controllers import untrained
 
 HULL = {"mesh": "configs/chiefs/box.npz", "collision": "hull"}
 
@@ -72,7 +71,7 @@ def test_evaluated_episodes_are_compiled_where_that_is_repaid(
         made(), {"train": {"compile": choice, "rta": False}, "inspection": {"max_time": max_time}}, "test"
     )
     experiment = Experiment(config, 2)
-    evaluation.play(untrained(experiment, 0), experiment, 2, 0)
+    evaluation.play(experiment.policy(experiment.generators([0])), experiment, 2, 0)
     evaluation.play_controller("quick", experiment, 2, 0)
     assert seen == [True, True] * compiled
 

@@ -12,7 +12,7 @@ from study.config import Config
 from study.experiment import Experiment
 from study.experiment import test_cases as common_cases
 from study.flight import evaluation
-from study.flight.controllers import agent, classical, untrained
+from study.flight.controllers import agent, classical
 from study.flight.evaluation import METRICS, play_controller, run_episodes
 from study.flight.fly import Starts
 from study.flight.simulation import Recording, simulate
@@ -42,7 +42,7 @@ def test_a_baseline_is_evaluated_as_it_is_simulated(name: str, every: float, rta
     record = play_controller(name, experiment, 2, 0)
     cases = common_cases(config, 2, 0)
     env = experiment.env(1, decide_every=every, report_every=1.0)
-    policy = untrained(experiment, 0)
+    policy = experiment.policy(experiment.generators([0]))
     for i in range(2):
         controller = agent(policy, env) if name == "untrained" else classical(name, env, 0)
         flight = simulate(env, controller, cases.one(i), c.max_time)
@@ -97,7 +97,7 @@ def test_the_first_episode_of_an_evaluation_is_recorded_as_it_is_simulated(end: 
     x[Q, 0], x[OMEGA, 0] = torch.tensor([0.0, 0.0, 1.0, 0.0]).double(), 0.0  # looks at the lit side
     if end == "crash":
         x[P, 0], x[V, 0] = torch.tensor([[0.0, 17.0, 0.0], [0.0, -0.6, 0.0]]).double()  # in four seconds
-    policy = untrained(experiment, 0)
+    policy = experiment.policy(experiment.generators([0]))
     env = experiment.env(2)
     recording, starts = Recording(), Starts(x, priority)
     run_episodes(env, agent(policy, env), starts, recording)

@@ -10,7 +10,7 @@ from scipy.stats import binom
 from study.flight.summary import (
     iqm,
     stratified_bootstrap,
-    stratified_summary,
+    summary_of_runs,
     summary,
     summary_of_runs,
     upper_bound,
@@ -62,7 +62,7 @@ def test_stratified_interval_agrees_with_a_plain_loop() -> None:
     for _ in range(20_000):
         tasks = [scores[rng.choice(4, 4), task] for task in range(6)]
         means.append(np.sort(np.concatenate(tasks))[6:18].mean())
-    result = stratified_summary(scores)
+    result = summary_of_runs(scores)
     assert result["ci95"] == pytest.approx(np.percentile(means, [2.5, 97.5]), abs=0.01)
     assert result["iqm"] == pytest.approx(np.sort(scores.ravel())[6:18].mean())
     assert result["mean"] == pytest.approx(scores.mean())
