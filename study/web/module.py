@@ -39,6 +39,7 @@ from study.verification.adversaries import NEXT_TO_NOTHING, Greedy, adversarial
 
 PILOT = "even"  # the guidance that can fly on the page
 PLACES = 250  # largest number of points on a predicted path
+BY_HAND = {path.stem: path.read_text(encoding="utf-8") for path in Path(__file__).parent.glob("*.c")}
 # without fused products, as in `kernels.build`, so that each operation rounds as in Python
 FLAGS = "-target wasm32-wasi -mexec-model=reactor -std=gnu11 -O2 -ffp-contract=off -fno-math-errno "
 FLAGS += "-fno-tree-slp-vectorize -fvisibility=default -rdynamic -w -s"
@@ -84,17 +85,17 @@ def compiled(
     ]
     texts = {
         "play.h": head,
-        "play.c": ['#include "play.h"', *shared, for_one(of_flight(filters[0])), by_hand("play.c")],
+        "play.c": ['#include "play.h"', *shared, for_one(of_flight(filters[0])), BY_HAND["play"]],
         **{f"filter{i}.c": of_filter(each, i) for i, each in enumerate(filters)},
     }
     if plant:
         most = plant.missed_in_a_row if bounds(plant.missed_calls)[1] else 0
         own = define("MISSED_MOST", most), define("NEXT_TO_NOTHING", NEXT_TO_NOTHING)
         world = for_one(of_world(filters[-1], plant))
-        texts["worst.c"] = ['#include "play.h"', *own, world, by_hand("worst.c")]
+        texts["worst.c"] = ['#include "play.h"', *own, world, BY_HAND["worst"]]
     if agent:
         texts |= {name: [text] for name, text in agent.items()}
-        texts["agent.c"] = ['#include "play.h"', by_hand("agent.c")]
+        texts["agent.c"] = ['#include "play.h"', BY_HAND["agent"]]
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as work:
         folder = Path(work)
         for name, parts in texts.items():
@@ -106,11 +107,6 @@ def compiled(
             said = [line.strip() for line in done.stderr.splitlines() if "error" in line]
             raise InputError(f"the compiler of ziglang failed ({done.returncode}): {''.join(said[:1])}")
         return (folder / "play.wasm").read_bytes()
-
-
-def by_hand(name: str) -> str:
-    """Returns the text of a file in this folder."""
-    return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
 def named(
@@ -168,7 +164,7 @@ def of_filter(safety_filter: SafetyFilter, number: int) -> list[str]:
         for_one(parts),
         define("FLIES", int(isinstance(backup, NominalCheck))),
         '#include "play.h"',
-        by_hand("filter.c"),
+        BY_HAND["filter"],
     ]
 
 

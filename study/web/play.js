@@ -202,8 +202,7 @@ function bars() {
   });
 }
 
-function show_bars() {
-  const { flight } = play;
+function show_bars(flight) {
   task.limits.forEach(({ scale, unit }, i) => {
     const bar = play.bars[i], h = flight.values[i], full = Math.max(0, Math.min(1, 1 - h / scale));
     bar.style.setProperty("--full", `${(100 * full).toFixed(1)}%`);
@@ -215,8 +214,8 @@ function show_bars() {
   });
 }
 
-function show_status() {
-  const { flight } = play, [status, , backup] = flight.answer;
+function show_status(flight) {
+  const [status, , backup] = flight.answer;
   const acting = task.limits.filter((_, i) => flight.active[i] > 0).map(limit => limit.title.toLowerCase());
   const because = acting.length ? ` because of: ${acting.slice(0, 2).join(", ")}` : "";
   const [kind, text] = !flight.filtered ? ["off", "The filter is off: every command is flown as it is."]
@@ -230,8 +229,7 @@ function show_status() {
   $("status").textContent = text;
 }
 
-function show_end() {
-  const { flight } = play;
+function show_end(flight) {
   if (!flight.outcome) return;
   const [title, text] = ENDS[flight.outcome], good = flight.outcome === "success";
   $("end").className = good ? "success" : "";
@@ -242,9 +240,9 @@ function show_end() {
 
 function show() {
   const { flight } = play, x = flight.state, calls = flight.calls.reduce((sum, each) => sum + each, 0);
-  show_bars();
-  show_status();
-  show_end();
+  show_bars(flight);
+  show_status(flight);
+  show_end(flight);
   $("score").textContent = `${(100 * flight.score[0]).toFixed(0)} %`;
   $("delta-v").textContent = flight.deltaV.toFixed(2);
   $("time").textContent = clock(flight.time);

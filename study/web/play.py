@@ -12,6 +12,7 @@ from typing import Any
 
 import tomli_w
 import torch
+from markupsafe import Markup
 from torch import Tensor
 
 from inspection.chief.points import fibonacci_sphere
@@ -89,23 +90,21 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
         worlds = [world(nominal, filters), *(world(erring, robust) for _ in robust)]
         own = agent.sources(policy, config, "") if policy else {}
         compiled = module.compiled([*filters, *robust], erring.plant if errs else None, own)
-    text = document(c, compiled, worlds, policy is not None)
+    text = document(packed(compiled), embedded(task(c) | {"worlds": worlds}), policy is not None, errs)
     with as_input_error(f"--out {out}: cannot write it", OSError):
         write_text(out, text)
     return len(text.encode())
 
 
-def document(
-    c: InspectionParameters, compiled: bytes, worlds: Sequence[dict[str, Any]], has_agent: bool
-) -> str:
-    """Returns the whole page; `worlds`: the model's and, if there is one, the one with worst errors."""
+def document(module: str, data: Markup, has_agent: bool, has_errors: bool) -> str:
+    """Returns the whole page with a packed module and embedded data."""
     return render(
         "web/play.html.j2",
         periods=PERIODS,
         has_agent=has_agent,
-        has_errors=len(worlds) > 1,
-        module=packed(compiled),
-        data=embedded(task(c) | {"worlds": worlds}),
+        has_errors=has_errors,
+        module=module,
+        data=data,
     )
 
 
@@ -193,14 +192,12 @@ def settings(config: Config) -> str:
 
 def task(c: InspectionParameters) -> dict[str, Any]:
     """Returns the page's data of the task."""
+    names = ("mass", "action_period", "success_score", "max_time")
     return {
+        **{name: getattr(c, name) for name in names},
         "periods": list(PERIODS),
         "limit": list(c.control_limit),
-        "mass": c.mass,
         "steps": round(1.0 / c.substep),
-        "action_period": c.action_period,
-        "success_score": c.success_score,
-        "max_time": c.max_time,
         "arrays": module.arrays(c),
         "points": (c.chief_radius * fibonacci_sphere(c.num_points).T).tolist(),
         "places": module.PLACES,

@@ -115,7 +115,7 @@ class Scene {
     lens.rotation.z = -Math.PI / 2;
     lens.position.x = DEPUTY / 2 + 0.4;
     body.add(lens);
-    const axis = "xyz".indexOf(this.task.panel_axis[1]), sign = this.task.panel_axis[0] === "-" ? -1 : 1;
+    const panels = this.task.solar_panel_axis, axis = "xyz".indexOf(panels[1]), sign = panels[0] === "-" ? -1 : 1;
     const wing = axis === 1 ? 0 : 1; // the axis along which they stick out
     for (const side of [-1, 1]) {
       const size = [2.2, 2.2, 2.2], place = [0, 0, 0];

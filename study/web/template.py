@@ -57,12 +57,6 @@ def embedded(data: Any, default: Callable[[Any], Any] | None = None) -> Markup:
 
 def drawn(c: InspectionParameters) -> dict[str, Any]:
     """Returns the data of `scene.js` about the spacecraft and the limits around them, in m, rad and N."""
-    names = (
-        "chief_radius",
-        "deputy_radius",
-        "collision_radius",
-        "max_distance",
-        "field_of_view",
-        "max_thrust",
-    )
-    return {name: getattr(c, name) for name in names} | {"panel_axis": c.solar_panel_axis}
+    radii = ("chief_radius", "deputy_radius", "collision_radius")
+    names = (*radii, "max_distance", "field_of_view", "max_thrust", "solar_panel_axis")
+    return {name: getattr(c, name) for name in names}

@@ -10,7 +10,6 @@ from scipy.stats import binom
 from study.flight.summary import (
     iqm,
     stratified_bootstrap,
-    summary_of_runs,
     summary,
     summary_of_runs,
     upper_bound,
