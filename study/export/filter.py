@@ -46,10 +46,9 @@ def said_of(config: Config) -> str:
     """Returns what the filter of a configuration does not check, which campaigns have flown it, and their results."""
     own = fingerprint(config)
     same = alike(relevant(config), list(reports(("python", "c"))))
-    counted = [each for each in same if each.large or not each.clean]
-    lines = [of_campaign(each) for each in counted]
-    if missing := unchecked(config):
-        lines.insert(0, missing)
+    missing = unchecked(config)
+    lines = [missing] if missing else []
+    lines += [of_campaign(each) for each in same if each.large or not each.clean]
     if not all(each.clean for each in same):
         first = f"NOT VERIFIED: campaigns broke this filter (fingerprint {own})."
     elif verified(same):

@@ -7,7 +7,7 @@ import numpy as np
 import onnx
 import onnxruntime
 import torch
-from onnx import NodeProto, TensorProto, helper, numpy_helper
+from onnx import TensorProto, helper, numpy_helper
 
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.model.state import CONTROL_SIZE, CONTROLS
@@ -19,6 +19,12 @@ from study.errors import ExportError
 OPSET, IR_VERSION = 17, 8
 SAMPLES = 1000  # observations of the check
 TOLERANCE = 1e-5
+SHAPED = (  # sign(a) |a|^power, as `Policy.shaped`: each node's kind, inputs and output
+    ("Abs", ["action"], "size"),
+    ("Pow", ["size", "power"], "shape"),
+    ("Sign", ["action"], "sign"),
+    ("Mul", ["sign", "shape"], "control"),
+)
 
 
 def to_onnx(policy: Policy, c: InspectionParameters, chief: ChiefParameters) -> bytes:
@@ -41,8 +47,8 @@ def to_onnx(policy: Policy, c: InspectionParameters, chief: ChiefParameters) -> 
         output = "action" if last and not policy.is_linear else output
         nodes.append(helper.make_node("Tanh", [f"affine_{i}"], [output]))
     if not policy.is_linear:
-        shape, constants = shaping(policy)
-        nodes, weights = nodes + shape, weights + constants
+        weights.append(numpy_helper.from_array(np.array(policy.power, np.float32), "power"))
+        nodes += [helper.make_node(kind, given, [result]) for kind, given, result in SHAPED]
     batches = [
         helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size])
         for name, size in (("observation", layers[0].weight.shape[1]), ("control", CONTROL_SIZE))
@@ -52,19 +58,6 @@ def to_onnx(policy: Policy, c: InspectionParameters, chief: ChiefParameters) -> 
     helper.set_model_props(model, metadata(c, chief))
     onnx.checker.check_model(model, full_check=True)
     return model.SerializeToString()
-
-
-def shaping(policy: Policy) -> tuple[list[NodeProto], list[TensorProto]]:
-    """Returns the nodes from "action" to "control" and their constants, as `Policy.shaped`."""
-    values = {"power": policy.power}
-    steps = [
-        ("Abs", ["action"], "size"),
-        ("Pow", ["size", "power"], "shape"),
-        ("Sign", ["action"], "sign"),
-        ("Mul", ["sign", "shape"], "control"),
-    ]
-    constants = [numpy_helper.from_array(np.array(value, np.float32), name) for name, value in values.items()]
-    return [helper.make_node(kind, given, [result]) for kind, given, result in steps], constants
 
 
 def metadata(c: InspectionParameters, chief: ChiefParameters) -> dict[str, str]:

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -81,7 +82,10 @@ def draw_episodes(inputs: Inputs) -> None:
     c, directory = inputs.config.inspection, inputs.directory
     top_speed = max((speeds(episode).max() for episode in inputs.episodes.values()), default=0.0)
     for arm, episode in inputs.episodes.items():
-        trajectory_figure(episode, c, top_speed, directory / f"trajectory_{arm}.png")
+        figure = Figure(figsize=(6, 4.2), layout="constrained")
+        trajectory(figure.add_subplot(projection="3d"), episode, c, top_speed)
+        with writing(directory / f"trajectory_{arm}.png") as file:
+            figure.savefig(file, dpi=DPI, format="png")
         constraint_figure(episode, c, directory / f"constraints_{arm}.png")
     if inputs.violation:
         constraint_figure(inputs.violation, c, directory / "constraints_violation.png")
@@ -121,14 +125,6 @@ def training_panel(ax: Axes, curves: dict[str, np.ndarray], metric: str, arms: I
             ax.axhline(paper.by_arm[arm].value, color=colour, ls=":", lw=1.1, label=f"paper, {label(arm)}")
     ax.set(xlabel="interactions of a seed (millions)", ylabel=paper.label, xlim=(0, None))
     ax.grid(alpha=0.3)
-
-
-def trajectory_figure(episode: Episode, c: InspectionParameters, top_speed: float, path: Path) -> None:
-    """Writes one episode's path around the chief as a PNG, coloured by speed up to `top_speed` in m/s."""
-    figure = Figure(figsize=(6, 4.2), layout="constrained")
-    trajectory(figure.add_subplot(projection="3d"), episode, c, top_speed)
-    with writing(path) as file:
-        figure.savefig(file, dpi=DPI, format="png")
 
 
 def behaviour_figure(episodes: dict[str, Episode], c: InspectionParameters) -> Figure:
@@ -190,15 +186,8 @@ def front_figure(inputs: Inputs) -> Figure:
         colour, marker = style(arm, inputs.arms)
         for seed in results.get("per_seed", ()):
             ax.plot(*point(seed), color=colour, marker=marker, ms=3, alpha=0.5, ls="")
-        ax.plot(
-            *point(results),
-            color=colour,
-            marker=marker,
-            ms=9,
-            mec="white",
-            ls="",
-            label=f"agents, {label(arm)}",
-        )
+        look: dict[str, Any] = {"color": colour, "marker": marker, "ms": 9, "mec": "white", "ls": ""}
+        ax.plot(*point(results), **look, label=f"agents, {label(arm)}")
     curve = [point(results) for results in inputs.front.values()]
     ax.plot(*zip(*curve, strict=True), color=GUIDANCE_COLOUR, marker=".", lw=1.2, label="classical guidance")
     for name, place in zip(inputs.front, curve, strict=True):

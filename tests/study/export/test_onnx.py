@@ -25,10 +25,10 @@ C = InspectionParameters(max_thrust=2.0)
 SHIPPED = Path(main.__file__).parent / "runs" / "reference" / "study" / "rta" / "seed0" / "policy.pt"
 
 
-def untrained(seed: int, **shape: float) -> Policy:
+def untrained(**shape: float) -> Policy:
     """Returns an untrained agent whose actions are not small."""
     config = override(Config(), {"ppo": shape}, "test")
-    policy = make_policy(config, [torch.Generator().manual_seed(seed)])
+    policy = make_policy(config, [torch.Generator().manual_seed(0)])
     with torch.no_grad():
         policy.network.layers[-1].weight *= 100
         policy.network.layers[0].bias += 0.1
@@ -39,10 +39,9 @@ def session_of(model: bytes) -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
 
 
-@pytest.mark.parametrize("shape", [{}, {"action_power": 2.0}, {"action_power": 1.5}])
-@pytest.mark.parametrize("batch", [1, 256])
+@pytest.mark.parametrize(("batch", "shape"), [(1, {}), (256, {"action_power": 1.5})])
 def test_any_batch_is_answered_as_by_pytorch(batch: int, shape: dict[str, float]) -> None:
-    policy = untrained(0, **shape)
+    policy = untrained(**shape)
     observation = torch.randn(batch, 26, generator=torch.Generator().manual_seed(1))
     (control,) = session_of(export.to_onnx(policy, C, ChiefParameters())).run(
         None, {"observation": observation.numpy()}
@@ -54,7 +53,8 @@ def test_any_batch_is_answered_as_by_pytorch(batch: int, shape: dict[str, float]
 
 def test_metadata_lead_from_a_state_to_newtons(random_states) -> None:
     """Observed in physical units and scaled as the file says, a state gets the control that a simulation gives it."""
-    policy, session = untrained(0), session_of(export.to_onnx(untrained(0), C, ChiefParameters()))
+    policy = untrained()
+    session = session_of(export.to_onnx(policy, C, ChiefParameters()))
     about = {key: json.loads(text) for key, text in session.get_modelmeta().custom_metadata_map.items()}
     assert about["action_period"] == 10.0
     env = InspectionEnv(5, C, [torch.Generator().manual_seed(0)])
@@ -67,22 +67,21 @@ def test_metadata_lead_from_a_state_to_newtons(random_states) -> None:
     np.testing.assert_allclose(scaled.T, agent(policy, env)(0.0, x), atol=2e-5)
 
 
-def test_metadata_lead_to_what_the_agent_observed(random_states) -> None:
+def test_metadata_lead_to_what_the_agent_observed_and_inspected(random_states) -> None:
     """Also where that depends on horizons and radii of its training, which are not the paper's."""
     c = replace(C, observed=("position", "free_flight"), free_flight_horizon=6000.0, deputy_radius=3.0)
-    about = export.metadata(c, ChiefParameters())
-    table = {k: tuple(v) if isinstance(v, list) else v for k, v in json.loads(about["inspection"]).items()}
+    chief = ChiefParameters(mesh="configs/chiefs/box.npz", rate=(0.0, 0.1, 0.0), collision="sphere")
+    about = export.metadata(c, chief)
+    task, own = (
+        {k: tuple(v) if isinstance(v, list) else v for k, v in json.loads(about[table]).items()}
+        for table in ("inspection", "chief")
+    )
     x, rest = random_states(5), [torch.zeros(3, 5).double()] * 2 + [torch.zeros(5).double()]
-    seen = observe(x, *rest, InspectionParameters(**table))
+    seen = observe(x, *rest, InspectionParameters(**task))
     assert torch.equal(seen, observe(x, *rest, c))
     assert len(seen) == len(json.loads(about["observation"])) == 10
     assert not torch.equal(seen, observe(x, *rest, replace(C, observed=c.observed)))
-
-
-def test_metadata_lead_to_the_chief_that_the_agent_inspected() -> None:
-    chief = ChiefParameters(mesh="configs/chiefs/box.npz", rate=(0.0, 0.1, 0.0), collision="sphere")
-    table = json.loads(export.metadata(C, chief)["chief"])
-    assert ChiefParameters(**{k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}) == chief
+    assert ChiefParameters(**own) == chief
 
 
 def test_a_difference_ends_in_one_line_and_exit_code_1(

@@ -28,10 +28,7 @@ def experiment_of(rta: bool, episodes: int) -> Experiment:
 @pytest.mark.parametrize(
     ("name", "every", "rta"),
     [
-        pytest.param("natural-motion", 1.0, True, marks=pytest.mark.campaign),
-        ("quick", 1.0, False),
         ("quick", 1.0, True),
-        ("zero", 10.0, False),
         ("untrained", 10.0, False),
     ],
 )
@@ -55,7 +52,7 @@ def test_a_baseline_is_evaluated_as_it_is_simulated(name: str, every: float, rta
         }
         metrics = dict(zip(METRICS, record.metrics[:, i].tolist(), strict=True))
         assert {name: metrics[name] for name in expected} == pytest.approx(expected, rel=1e-6)
-        assert name == "zero" or metrics["delta_v_m_s"] > 0.0
+        assert metrics["delta_v_m_s"] > 0.0
     assert record.filter_calls.tolist() == [c.max_time * rta] * 2
 
 

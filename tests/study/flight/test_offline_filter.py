@@ -12,22 +12,18 @@ from numpy import ndarray
 import main
 from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
-from rta.fast.filter import batched
-from rta.filter import SafetyFilter
 from rta.limits import PAPER
 from rta.names import CONSTRAINTS
 from rta.paper import GIVEN
-from rta.parameters import RtaParameters
 from rta.result import Status
 from study.flight import offline_filter
-from study.flight.offline_filter import filter_states
-from tests.oracles import by_nnls, paper
+from tests.oracles import PSM_TOLERANCE, by_nnls, paper
 from tests.support.flights import commands, near_the_limits
 from tests.test_main import assert_refused
 
 C = InspectionParameters()
 LIMIT = np.array(C.control_limit)
-COUNT = 3000
+COUNT = 2000
 
 
 @pytest.fixture(scope="module")
@@ -61,24 +57,19 @@ def solution(given: dict[str, ndarray], tmp_path_factory: pytest.TempPathFactory
     return written(given, tmp_path_factory.mktemp("paper"), "--rta-filter", "paper")
 
 
-def test_the_file_holds_what_is_promised(result: dict[str, ndarray]) -> None:
+def test_the_file_holds_what_is_promised(given: dict[str, ndarray], result: dict[str, ndarray]) -> None:
     shapes = {name: array.shape[1:] for name, array in result.items() if array.shape[0] == COUNT}
-    assert shapes == {
-        "control_safe": (6,),
-        "h": (13,),
-        "A": (13, 6),
-        "b": (13,),
-        "active": (13,),
-        "slack": (13,),
-        "status": (),
-        "violated": (),
-        "verified": (),
-        "backup": (),
-    }
+    rows = dict.fromkeys(("h", "b", "active", "slack"), (13,))
+    single = dict.fromkeys(("status", "violated", "verified", "backup"), ())
+    assert shapes == {"control_safe": (6,), "A": (13, 6), **rows, **single}
     assert tuple(result["constraints"]) == CONSTRAINTS
     assert (result["active"].dtype, result["status"].dtype.kind) == (bool, "i")
     weights = [limit.weight or np.inf for limit in PAPER.values()]
     np.testing.assert_array_equal(result["slack_weight"], weights)
+    for name, h, expected in zip(CONSTRAINTS, result["h"].T, paper(given["state"].T), strict=True):
+        np.testing.assert_allclose(
+            h, expected, rtol=0, atol=PSM_TOLERANCE if name == "passive_safety" else 1e-9
+        )
 
 
 def test_another_solver_finds_the_same_controls(
@@ -132,13 +123,16 @@ def test_conditions_are_the_rates_of_the_papers_constraints(
     np.testing.assert_allclose(left[fast], expected[fast], atol=1e-6)
 
 
-def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(offline_filter, "CHUNK", 200)
-    safety = batched(SafetyFilter(C, RtaParameters()))
-    x, u = torch.from_numpy(near_the_limits(203)), commands(203)
-    whole, end = filter_states(safety, x, u), filter_states(safety, x[:, -5:], u[:, -5:])
+def test_chunks_do_not_show(
+    given: dict[str, ndarray],
+    solution: dict[str, ndarray],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(offline_filter, "CHUNK", 900)
+    again = written(given, tmp_path, "--rta-filter", "paper")
     for name in ("control_safe", "A", "b", "status"):
-        np.testing.assert_allclose(whole[name][-5:], end[name], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(again[name], solution[name], rtol=1e-9, atol=1e-9)
 
 
 def state(**changes: Any) -> ndarray:
@@ -154,16 +148,12 @@ def state(**changes: Any) -> ndarray:
     ("content", "words"),
     [
         ({"state": state()}, ["control_desired is missing"]),
-        ({"control_desired": np.zeros((4, 6))}, ["state is missing"]),
         ({"state": state()[:, :15]}, ["(4, 15)", "(N, 16)"]),
-        ({"state": state()[0]}, ["(16,)", "(N, 16)"]),
         ({"state": np.float64(3.0)}, ["()", "(N, 16)"]),
         ({"state": state(), "control_desired": np.zeros((3, 6))}, ["(3, 6)", "same N"]),
-        ({"state": np.zeros((0, 16)), "control_desired": np.zeros((0, 6))}, ["(0, 16)", "from 1"]),
         ({"state": state().astype(str)}, ["state", "numbers"]),
         ({"state": np.array([{}])}, ["not a .npz file of numbers"]),
         ({"state": state(i4=math.nan)}, ["state in row 3", "finite"]),
-        ({"state": state(i4=math.inf)}, ["state in row 3", "finite"]),
         ({"state": state(i6=0.5)}, ["quaternion", "row 3", "length 1"]),
         ({"state": state(i0=0.0)}, ["position in row 3", "centre"]),
         ({"state": state(i13=-300.0)}, ["temperature in row 3", "-273.15"]),

@@ -22,7 +22,7 @@ from study.flight.figures import points_of_chief
 from study.flight.fly import Starts
 from study.flight.simulation import simulate
 
-DURATION, DECIDE_EVERY, STEP = 60, 10, 5  # s, with a call of the filter each second
+DURATION, DECIDE_EVERY, STEP = 40, 10, 5  # s, with a call of the filter each second
 
 
 def test_intervened_tells_which_calls_since_the_row_changed_the_control_they_were_given() -> None:

@@ -70,7 +70,7 @@ def flights() -> dict[float | str, list[Flight]]:
     """Flights by world, with every call."""
     common = {"seed": 3, "calls": True}
     asked = [
-        common | of_world(world) | {"start": start, "pilot": pilot, "seconds": 30 * world}
+        common | of_world(world) | {"start": start, "pilot": pilot, "seconds": 15 * world}
         for world in PERIODS
         for pilot in ("random", "adversary")
         for start in STARTS
@@ -109,7 +109,7 @@ def test_the_filter_answers_as_in_python(
     told = {"sent": torch.cat([sent(each) for each in flights[world]], -1)} if world == "errors" else {}
     result = safety_filter.correct(seen, desired, **told)
     status, verified, backup = columns(calls, "answer")
-    assert (result.control != desired).any(0).sum() > 0.4 * len(calls) >= 100  # it has something to do
+    assert (result.control != desired).any(0).sum() > 0.4 * len(calls) >= 60  # it has something to do
     np.testing.assert_array_equal(result.status, status)
     np.testing.assert_array_equal(result.verified, verified)
     np.testing.assert_array_equal(result.backup, backup)
@@ -124,9 +124,8 @@ def test_the_filter_answers_as_in_python(
     np.testing.assert_allclose(columns(calls, "values"), safety_filter.values(x), rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("period", PERIODS)
-def test_the_model_moves_as_in_python(period: float, flights: dict[float | str, list[Flight]]) -> None:
-    for flight in flights[period]:
+def test_the_model_moves_as_in_python(flights: dict[float | str, list[Flight]]) -> None:
+    for flight in flights[1.0]:
         x = torch.tensor(flight["states"], dtype=torch.float64).T
         after = step(x, torch.from_numpy(controls(flight).T.copy()), 1.0, C.inspection)
         found = np.column_stack((x[:, 1:], flight["end"]))
@@ -144,13 +143,10 @@ def test_the_way_to_rest_begins_behind_the_hold_and_stays_clear(
     for call, first in zip(calls, x[P].T, strict=True):
         shown = np.reshape(call["way"], (-1, 3))[: call["places"]]
         assert len(shown) > 0
-        np.testing.assert_allclose(
-            shown[0], first, rtol=0, atol=1e-4
-        )  # the backup takes fewer steps over a hold
+        # the backup takes fewer steps over a hold
+        np.testing.assert_allclose(shown[0], first, rtol=0, atol=1e-4)
         distance = np.linalg.norm(shown, axis=1)
-        assert (distance > C.inspection.collision_radius).all() and (
-            distance < C.inspection.max_distance
-        ).all()
+        assert C.inspection.collision_radius < distance.min() and distance.max() < C.inspection.max_distance
 
 
 def test_the_sensors_err_by_their_bounds_and_a_call_late(flights: dict[float | str, list[Flight]]) -> None:
