@@ -1,6 +1,7 @@
 """Figures of simulated episodes, from the arrays that `simulate` returns."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -117,41 +118,30 @@ def band(ax: Axes, low: float = -math.inf, high: float = math.inf) -> None:
     ax.set_ylim(bottom, top)
 
 
-def speed_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
-    """Draws |v| and the limit that grows with the distance."""
+def limits_panels(axes: Sequence[Axes], episode: Episode, c: InspectionParameters) -> None:
+    """Draws speed, angle between boresight and Sun, temperature and battery charge with their limits."""
     t, speed = episode["time"], speeds(episode)
-    limit = c.docking_speed + c.speed_slope * np.linalg.norm(episode["position"], axis=1)
-    ax.plot(t, speed, color=BLUE)
-    ax.plot(t, limit, color="black", ls=":", lw=1)
-    ax.set(ylabel="speed (m/s)", ylim=(0, 1.15 * max(limit.max(), speed.max())))
-    ax.fill_between(t, 0, limit, color=SAFE, lw=0, zorder=0)
-    ax.fill_between(t, limit, ax.get_ylim()[1], color=UNSAFE, lw=0, zorder=0)
-
-
-def sun_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
-    """Draws the angle between boresight and Sun."""
-    boresight = rotate(episode["quaternion"], np.array([1.0, 0.0, 0.0]))
+    limit = c.docking_speed + c.speed_slope * np.linalg.norm(
+        episode["position"], axis=1
+    )  # grows with distance
     theta = episode["sun_angle"]
     sun = np.stack((np.cos(theta), np.sin(theta), np.zeros_like(theta)), 1)
-    cosine = (boresight * sun).sum(1).clip(-1.0, 1.0)
-    ax.plot(episode["time"], np.degrees(np.arccos(cosine)), color=BLUE)
-    ax.set(ylabel="Sun off boresight (deg)", ylim=(0, 182))
-    closest = c.field_of_view / 2 + c.exclusion_buffer
-    band(ax, low=math.degrees(closest))
+    cosine = (rotate(episode["quaternion"], np.array([1.0, 0.0, 0.0])) * sun).sum(1).clip(-1.0, 1.0)
+    off_sun, charge = np.degrees(np.arccos(cosine)), episode["energy"]
+    for ax, values in zip(axes, (speed, off_sun, episode["temperature"], charge), strict=True):
+        ax.plot(t, values, color=BLUE)
 
-
-def temperature_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
-    """Draws the temperature of the tracked surface."""
-    ax.plot(episode["time"], episode["temperature"], color=BLUE)
-    ax.set(ylabel="temperature (°C)")
-    band(ax, high=c.max_temperature)
-
-
-def energy_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
-    """Draws the battery charge; the axis begins at an empty battery."""
-    ax.plot(episode["time"], episode["energy"], color=BLUE)
-    ax.set(ylabel="energy (kJ)", ylim=(0, 1.05 * max(episode["energy"].max(), c.min_energy)))
-    band(ax, low=c.min_energy)
+    moving, pointing, warm, charged = axes
+    moving.plot(t, limit, color="black", ls=":", lw=1)
+    moving.set(ylabel="speed (m/s)", ylim=(0, 1.15 * max(limit.max(), speed.max())))
+    moving.fill_between(t, 0, limit, color=SAFE, lw=0, zorder=0)
+    moving.fill_between(t, limit, moving.get_ylim()[1], color=UNSAFE, lw=0, zorder=0)
+    pointing.set(ylabel="Sun off boresight (deg)", ylim=(0, 182))
+    band(pointing, low=math.degrees(c.field_of_view / 2 + c.exclusion_buffer))
+    warm.set(ylabel="temperature (°C)")
+    band(warm, high=c.max_temperature)
+    charged.set(ylabel="energy (kJ)", ylim=(0, 1.05 * max(charge.max(), c.min_energy)))
+    band(charged, low=c.min_energy)
 
 
 def components(ax: Axes, t: np.ndarray, values: np.ndarray, limit: float, label: str) -> None:
@@ -200,11 +190,8 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
     band(ax, least, farthest)
     ax.legend(loc=place, fontsize=8, frameon=False, handlelength=1.3)
 
-    speed_panel(axes[0, 1], episode, c)
+    limits_panels([axes[0, 1], *axes[1]], episode, c)
     components(axes[0, 2], t, episode["velocity"], c.max_speed, "velocity (m/s)")
-    sun_panel(axes[1, 0], episode, c)
-    temperature_panel(axes[1, 1], episode, c)
-    energy_panel(axes[1, 2], episode, c)
     rates = np.degrees(episode["angular_velocity"])
     components(axes[2, 0], t, rates, math.degrees(c.max_rate), "body rate (deg/s)")
     applied = episode["control_applied"]
@@ -242,10 +229,7 @@ def episode_figure(episode: Episode, c: InspectionParameters, path: Path) -> Non
     ax.set_ylim(0, None)
     band(ax, low=least)
 
-    speed_panel(panel(1, 3), episode, c)
-    sun_panel(panel(2, 0), episode, c)
-    temperature_panel(panel(2, 1), episode, c)
-    energy_panel(panel(2, 2), episode, c)
+    limits_panels([panel(1, 3), panel(2, 0), panel(2, 1), panel(2, 2)], episode, c)
 
     ax = panel(2, 3, "Δv (m/s)")
     ax.plot(t, effort(episode, c)[0], color=BLUE)

@@ -125,8 +125,16 @@ def read_actions(path: str, limit: tuple[float, ...], rows: int) -> np.ndarray:
         raise InputError(
             f"{path}: shape {actions.shape}: must be (N, 6), in N and N m, or (N, 25) with corners, N 1 or more"
         )
-    check_controls(actions[:, :CONTROL_SIZE], limit, path)
-    check_corners(actions[:, CONTROL_SIZE:], path)
+    controls, corners = actions[:, :CONTROL_SIZE], actions[:, CONTROL_SIZE:]
+    check_finite(controls, path)
+    beyond = np.abs(controls) > np.array(limit) * (1.0 + 1e-9)
+    wrong = np.hstack((beyond, (corners != 0.0) & (corners != 1.0)))  # also true for NaN
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
+        allowed = "a corner must be 0 or 1"
+        if column < CONTROL_SIZE:
+            allowed = f"must be within +-{limit[column]:g} {'N' if column < 3 else 'N m'}"
+        raise InputError(f"{path}: row {row}, column {column} = {actions[row, column]:g}: {allowed}")
     if len(actions) < rows:
         raise InputError(f"{path}: {len(actions):,} rows: --duration and --step need {rows:,}")
     return actions
@@ -138,25 +146,3 @@ def check_finite(controls: np.ndarray, where: str) -> None:
         raise InputError(f"{where}: must hold numbers, not {controls.dtype.name}")
     if not np.isfinite(controls).all():
         raise InputError(f"{where}: must hold finite numbers only")
-
-
-def check_controls(controls: np.ndarray, limit: tuple[float, ...], where: str) -> None:
-    """Raises InputError for controls (N, 6) in N and N m that are not finite or beyond the actuators' limits."""
-    check_finite(controls, where)
-    excess = np.abs(controls) > np.array(limit) * (1.0 + 1e-9)
-    if excess.any():
-        row, column = np.argwhere(excess)[0]
-        raise InputError(
-            f"{where}: row {row}, column {column} = {controls[row, column]:g}: "
-            f"must be within +-{limit[column]:g} {'N' if column < 3 else 'N m'}"
-        )
-
-
-def check_corners(corners: np.ndarray, where: str) -> None:
-    """Raises InputError for corners (N, 19), which follow the controls in a row, that are neither 0 nor 1."""
-    wrong = (corners != 0.0) & (corners != 1.0)  # also true for NaN
-    if wrong.any():
-        row, column = np.argwhere(wrong)[0]
-        raise InputError(
-            f"{where}: row {row}, column {CONTROL_SIZE + column} = {corners[row, column]:g}: a corner must be 0 or 1"
-        )

@@ -3,7 +3,7 @@
 "use strict";
 
 const COLOURS = { // Okabe and Ito's
-  inspected: 0x009e73, lit: 0xe69f00, dark: 0x4a4f58, asked: 0xe69f00, flown: 0x56b4e9, cone: 0x56b4e9, plume: 0xcfe8ff,
+  inspected: 0x009e73, lit: 0xe69f00, dark: 0x4a4f58, asked: 0xe69f00, flown: 0x56b4e9, cone: 0x56b4e9,
   keepOut: 0xd55e00, hull: 0xd55e00, zone: 0x56b4e9, ahead: 0xffffff, way: 0xf0e442, trail: 0x7a8798, earth: 0x2a5d9f,
 };
 const VIEWS = ["follow", "orbit", "onboard"];
@@ -129,8 +129,6 @@ class Scene {
         body.add(part);
       }
     }
-    this.plumes = [0, 1, 2].map(() => this.see_through(new THREE.ConeGeometry(0.55, 1, 20, 1, true), COLOURS.plume, 0.6));
-    body.add(...this.plumes);
     const half = Math.tan(this.task.field_of_view / 2), cone = new THREE.ConeGeometry(half, 1, 48, 1, true);
     cone.translate(0, -0.5, 0);
     cone.rotateZ(Math.PI / 2); // from its tip along +x
@@ -209,13 +207,6 @@ class Scene {
       this.point(arrow, p, along.clone().applyQuaternion(q), 11 * along.length() / most);
       arrow.visible = arrow.visible && this.view !== "onboard";
     }
-    this.plumes.forEach((plume, j) => {
-      const share = control[j] / most, way = new THREE.Vector3().setComponent(j, -Math.sign(share) || 1);
-      plume.visible = Math.abs(share) > 0.02;
-      plume.scale.set(1, 3.5 * Math.abs(share), 1);
-      plume.quaternion.setFromUnitVectors(new THREE.Vector3(0, -1, 0), way);
-      plume.position.copy(way).multiplyScalar(DEPUTY / 2 + 1.75 * Math.abs(share));
-    });
   }
 
   look(p, q, from) {
