@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 
 from settings import InputError
-from study.config import ARMS, BASELINES, TEST_CASES
+from study.config import ARMS, TEST_CASES
 from study.errors import MALFORMED, as_input_error
 from study.files import read_json_lines, write_json, write_npz, write_text
 from study.report import flights, tables
 from study.report.inputs import Arm, agents_of
 from study.report.sunlight import shortest_episodes
 
-# by file: a description, and a function that computes the content for WRITE
-Work = dict[str, tuple[str, Callable[[], Any]]]
+Work = dict[str, Callable[[], Any]]  # by file: computes the content for WRITE
 
 
 def write_single(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -51,9 +50,9 @@ def compute(study: Path, device: str | None = None) -> None:
     made_with["guidance"] = {name: repr(orbit) for name, orbit in flights.GUIDANCE.items()}
     with as_input_error(f"--study {study}: cannot write there", OSError):
         begin(directory, made_with, todo)
-        for name, (what, make) in todo.items():
+        for name, make in todo.items():
             if not (directory / name).exists():
-                print(f"{directory / name}: {what} ...", flush=True)  # a whole line, since bars may follow
+                print(f"{directory / name} ...", flush=True)  # a whole line, since bars may follow
                 started = time.perf_counter()
                 WRITE[Path(name).suffix](directory / name, make())
                 print(f"{directory / name}: {time.perf_counter() - started:.0f} s", flush=True)
@@ -71,37 +70,26 @@ def begin(directory: Path, digests: dict[str, dict[str, str]], todo: Work) -> No
 
 
 def work(study: Path, arms: dict[str, Arm]) -> Work:
-    """Returns everything that a report on these arms needs besides the study's own results."""
+    """Returns everything that a report on these arms needs besides the study's own results; quick things come last."""
     config = next(iter(arms.values())).config
-    periods = ", ".join(f"{period:g}" for period in flights.PERIODS)
-    filtered = f"the agents trained with RTA, the filter called every {periods} s, a few minutes"
-    untrained = f"what is not trained ({', '.join(BASELINES)}), a few minutes"
-    elsewhere = f"every agent in other worlds ({', '.join(flights.WORLDS)}), a quarter of an hour or more"
-    lit = partial(shortest_episodes, config, config.train.final_episodes, TEST_CASES)
-    todo: Work = {
-        "cross.json": ("every agent with the filter off and on, a few minutes", partial(flights.cross, arms)),
-        "baselines.json": (untrained, partial(flights.baselines, config)),
-        "front.json": ("the guidance from thrifty to quick, a few minutes", partial(flights.front, config)),
-        "progress.json": (
-            "what is inspected by when, a few minutes",
-            partial(flights.progress, arms, config),
-        ),
-        "worlds.json": (elsewhere, partial(flights.worlds, arms)),
-        "sunlight.json": ("when the Sun has lit enough of the chief, seconds", lit),
-        "training.csv": ("intervals of the training curves, seconds", partial(training, study, arms)),
-    }
+    todo: Work = {"cross.json": partial(flights.cross, arms)}
     if "rta" in arms:
-        todo["frequency.json"] = (filtered, partial(flights.frequency, arms["rta"]))
+        todo["frequency.json"] = partial(flights.frequency, arms["rta"])
+    todo |= {
+        "baselines.json": partial(flights.baselines, config),
+        "front.json": partial(flights.front, config),
+        "progress.json": partial(flights.progress, arms, config),
+        "worlds.json": partial(flights.worlds, arms),
+        "sunlight.json": partial(shortest_episodes, config, config.train.final_episodes, TEST_CASES),
+        "training.csv": partial(training, study, arms),
+    }
     for name, differences in ARMS.items():
         rta = differences["train"]["rta"]
-        what = f"the LQR+PD demonstration {'with' if rta else 'without'} RTA, seconds"
-        todo[f"demonstration_{name}.npz"] = (what, partial(flights.demonstration, config, rta))
+        todo[f"demonstration_{name}.npz"] = partial(flights.demonstration, config, rta)
         if name in arms:
-            what = f"an episode of {name}, seconds"
-            todo[f"episode_{name}.npz"] = (what, partial(flights.episode, arms[name]))
+            todo[f"episode_{name}.npz"] = partial(flights.episode, arms[name])
     if "no_rta" in arms and (worst := flights.worst_success(study / "no_rta" / "episodes.npz")):
-        what = "an episode without the filter that violates limits, seconds"
-        todo["violation.npz"] = (what, partial(flights.violation, arms["no_rta"], *worst))
+        todo["violation.npz"] = partial(flights.violation, arms["no_rta"], *worst)
     return todo
 
 

@@ -52,15 +52,14 @@ MADE = {  # starts: direction of the deputy at rest, and the Sun's angle from it
 def check(config: Config) -> None:
     """Raises InputError if the page cannot fly a configuration, or the compiler is missing."""
     c, plant, uncertainty = config.inspection, config.plant, config.uncertainty
+    own_chief = not config.chief.is_the_papers or "chief" in c.observed
+    in_seconds = is_multiple(1.0, c.substep) and c.action_period % 1.0 == 0.0
     refused = {
         "[rta] filter: play flies the checked one only": config.rta.filter != "checked",
-        "[chief]: play flies around the paper's chief only": not config.chief.is_the_papers
-        or "chief" in c.observed,
-        "play flies in seconds: substep must divide 1 s, action_period must be whole seconds": (
-            not is_multiple(1.0, c.substep) or c.action_period % 1.0 > 0.0
-        ),
-        "[plant]: play flies its own simulator only, without failures": plant.simulator != "own"
-        or plant.failing != "none",
+        "[chief]: play flies around the paper's chief only": own_chief,
+        "play flies in seconds: substep must divide 1 s, action_period must be whole seconds": not in_seconds,
+        "[plant]: play flies its own simulator only": plant.simulator != "own",
+        "[plant]: play flies without failures": plant.failing != "none",
         "play flies errors with a filter that is told of them: give [plant] and [uncertainty], or neither": (
             plant.is_nominal != uncertainty.is_zero
         ),

@@ -83,8 +83,8 @@ def tool(name: str) -> str:
     return name
 
 
-def run(*words: str | Path, **options: Any) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(words, capture_output=True, text=True, timeout=300, **options)
+def run(*words: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(words, capture_output=True, text=True, timeout=300)
 
 
 def succeed(*words: str | Path) -> str:
@@ -130,11 +130,8 @@ SECOND_ROW = r"(?s)(%s.*?\},\n    \{)(.+?),"  # its first number
 FLAWS = {
     "a control of PyTorch's": ("test_policy.c", SECOND_ROW % r"EXPECTED\[", r"\g<1>\2 + 1e-5,"),
     "no control of PyTorch's": ("test_policy.c", SECOND_ROW % r"EXPECTED\[", r"\g<1>NAN,"),
-    "a state": ("test_policy.c", SECOND_ROW % r"STATES\[", r"\g<1>1.01 * \2,"),
     "a weight": ("policy.c", r"(WEIGHT\[\] = \{\n    )(\S+),", r"\g<1>1.01F * \2,"),
-    "a scale": ("policy.c", r"(SCALE\[.*\] = \{\n    )100\.0,", r"\g<1>101.0,"),
     "the power": ("policy.c", r"POWER 3\.0", "POWER 3.0001"),
-    "the limits": ("policy.c", r"(LIMIT\[.*\] = \{\n    )1\.0,", r"\g<1>1.00001,"),
     "the clusters": ("policy.c", r"ITERATIONS 5U", "ITERATIONS 1U"),
     "what is no number": ("policy.c", r"!\(fabs\((.*)\) <= LARGEST\)", r"fabs(\1) > LARGEST"),
 }

@@ -104,63 +104,44 @@ def read(path: Path) -> dict[str, Any]:
 
 @pytest.mark.campaign
 @pytest.mark.parametrize(
-    ("file", "keys", "arm", "flags"),
+    ("keys", "arm", "flags"),
     [
-        ("cross", ("no_rta", "on"), "no_rta", ["--rta"]),
-        ("frequency", ("5",), "rta", ["--rta-period", "5"]),
+        (("cross", "no_rta", "on"), "no_rta", f"--rta --qp-solver batched --episodes {CASES}"),
+        (("frequency", "5"), "rta", f"--rta-period 5 --qp-solver batched --episodes {CASES}"),
+        (("worlds", "harsh", "rta", "robust"), "rta", "--config told.toml --episodes 1"),
+        (("worlds", "nominal", "no_rta", "off"), "no_rta", "--episodes 1"),
     ],
 )
-def test_other_filters_give_what_evaluate_says_of_each_policy(
-    file: str, keys: tuple[str, ...], arm: str, flags: list[str], study: Path, tmp_path: Path
+def test_other_filters_and_worlds_give_what_evaluate_says_of_each_policy(
+    keys: tuple[str, ...],
+    arm: str,
+    flags: str,
+    study: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    results = read(study / "report" / f"{file}.json")
-    for key in keys:
+    name, *inside = keys
+    results = read(study / "report" / f"{name}.json")
+    for key in inside:
         results = results[key]
-    alone = []
-    for seed in SEEDS:
-        path = tmp_path / f"{seed}.json"
-        arguments = ["evaluate", "--checkpoint", str(study / arm / f"seed{seed}" / "policy.pt"), *flags]
-        arguments += ["--qp-solver", "batched", "--episodes", str(CASES), "--json", str(path)]
-        assert main.main(arguments) == 0
-        alone.append(read(path))
-    assert results["episodes"] == len(SEEDS) * CASES
-    assert results["rta"]["period_s"] == alone[0]["rta"]["period_s"]
-    assert results["config"] == alone[0]["config"]
-    for name, metric in results["metrics"].items():
-        assert metric["mean"] == pytest.approx(np.mean([own["metrics"][name]["mean"] for own in alone]))
-    for name, percent in results["violations_percent"].items():
-        assert percent == pytest.approx(np.mean([own["violations_percent"][name] for own in alone]))
-    for name, value in results["worst_constraint_value"].items():
-        assert value == pytest.approx(min(own["worst_constraint_value"][name] for own in alone))
-
-
-@pytest.mark.campaign
-def test_worlds_are_those_of_evaluate(study: Path, tmp_path: Path) -> None:
-    """The robust filter in the harsh plant, each seed alone."""
-    found = read(study / "report" / "worlds.json")
-    assert list(found) == ["nominal", "harsh"]
-    assert all(list(arms) == ["no_rta", "rta"] for arms in found.values())
-    settings = tmp_path / "harsh_and_told.toml"
+    monkeypatch.chdir(tmp_path)
     bounds = (flights.PLANTS / "u1.toml").read_text()
     plant = (flights.PLANTS / "harsh.toml").read_text()
-    settings.write_text(plant + bounds[bounds.index("[uncertainty]") :])
+    Path("told.toml").write_text(plant + bounds[bounds.index("[uncertainty]") :])
     alone = []
     for seed in SEEDS:
-        arguments = ["evaluate", "--checkpoint", str(study / "rta" / f"seed{seed}" / "policy.pt")]
-        arguments += ["--config", str(settings), "--episodes", "1", "--json", str(tmp_path / "one.json")]
-        assert main.main(arguments) == 0
-        alone.append(read(tmp_path / "one.json"))
-    flown = found["harsh"]["rta"]["robust"]
-    for name in ("reward", "delta_v_m_s"):
-        assert flown["metrics"][name]["mean"] == pytest.approx(
-            np.mean([each["metrics"][name]["mean"] for each in alone])
-        )
-    # the model and no filter: the study's own flight, of its first case alone
-    episodes = np.load(study / "no_rta" / "episodes.npz")
-    first = episodes["metrics"][episodes["metric_names"].tolist().index("reward"), :, 0]
-    mean = found["nominal"]["no_rta"]["off"]["metrics"]["reward"]["mean"]
-    assert mean == pytest.approx(first.mean())
-    assert found["nominal"]["no_rta"]["off"] != found["harsh"]["no_rta"]["off"]
+        checkpoint = str(study / arm / f"seed{seed}" / "policy.pt")
+        assert main.main(["evaluate", "--checkpoint", checkpoint, *flags.split(), "--json", "one.json"]) == 0
+        alone.append(read(Path("one.json")))
+    assert results["episodes"] == sum(own["episodes"] for own in alone)
+    assert results["rta"]["period_s"] == alone[0]["rta"]["period_s"]
+    assert results.get("config", alone[0]["config"]) == alone[0]["config"]
+    for metric, found in results["metrics"].items():
+        assert found["mean"] == pytest.approx(np.mean([own["metrics"][metric]["mean"] for own in alone]))
+    for limit, percent in results["violations_percent"].items():
+        assert percent == pytest.approx(np.mean([own["violations_percent"][limit] for own in alone]))
+    for limit, value in results["worst_constraint_value"].items():
+        assert value == pytest.approx(min(own["worst_constraint_value"][limit] for own in alone))
 
 
 @pytest.mark.campaign
