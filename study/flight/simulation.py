@@ -26,7 +26,6 @@ from study.machine import bar
 
 MAX_ROWS = 10**7
 BAR = "{desc}: {percentage:.0f} %|{bar}| [{elapsed}<{remaining}{postfix}]"
-SCALARS = ("time", "inspected_score", "temperature", "energy", "sun_angle")
 
 
 def check_rows(step: float, duration: float, config: Config, controller: str) -> None:
@@ -84,10 +83,9 @@ class Recording(Observer):
             self.end()
 
     def step(self, transition: Transition, running: Tensor) -> None:
-        if self.ended or not transition.done[0]:
-            return
-        score = transition.metrics[METRICS.index("inspected_score"), :1]
-        self.end(inspected_score=score, inspected=transition.inspected[:, 0])
+        if not self.ended and transition.done[0]:
+            score = transition.metrics[METRICS.index("inspected_score"), 0]
+            self.end(inspected_score=score, inspected=transition.inspected[:, 0])
 
     def end(self, **seen: Tensor) -> None:
         """Adds the last row, at the end of the hold; `seen` holds the quantities that the environment no longer has."""
@@ -100,17 +98,17 @@ class Recording(Observer):
         env = self.env
         self.rows.append(
             {
-                "time": x.new_tensor([self.begun + time]),
+                "time": x.new_tensor(self.begun + time),
                 "x": x[:, 0].clone(),  # a view would keep the whole batch
                 "control_desired": self.decision,
                 "control_applied": self.last.applied[:, 0].clone(),
-                "inspected_score": env.sight.score()[:1].clone(),
+                "inspected_score": env.sight.score()[0].clone(),
                 "inspected": env.sight.inspected[:, 0].clone(),  # the next inspection changes it
                 "intervened": x.new_zeros(2, dtype=torch.bool),
             }
         )
         if self.tumbling:
-            motion = self.tumbling.moved(self.motion, self.rows[-1]["time"])
+            motion = self.tumbling.moved(self.motion, self.rows[-1]["time"][None])
             self.rows[-1]["chief_attitude"] = motion[ATTITUDE, 0]
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -119,14 +117,11 @@ class Recording(Observer):
         columns = {name: torch.stack([row[name] for row in self.rows]) for name in self.rows[0]}
         x = columns.pop("x").T
         h = env.constraint_values(x)
-        columns |= {
-            name: x[component].reshape(-1, x.shape[1]).T for name, (component, _) in STATE_FIELDS.items()
-        }
+        columns |= {name: x[component].movedim(-1, 0) for name, (component, _) in STATE_FIELDS.items()}
         columns |= {f"h_{name}": h[i] for i, name in enumerate(env.safety.names)}
         if env.c.planes:
             columns["clearance"] = clearance(x[P], env.c)
         arrays = {name: column.cpu().numpy() for name, column in columns.items()}
-        arrays = {name: array[:, 0] if name in SCALARS else array for name, array in arrays.items()}
         if self.tumbling:
             points, normals, _, triangles, _ = env.sight.surface
             of_chief = {"points": points.T, "normals": normals.T, "triangles": triangles}

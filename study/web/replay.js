@@ -227,7 +227,6 @@ function drawSection(title, panels) {
 let time = 0;
 let playing = false;
 let lastFrame = 0;
-let nextFrame = 0;
 
 function show(t) {
   time = Math.min(Math.max(t, 0), end);
@@ -239,20 +238,15 @@ function show(t) {
 function play(wanted) {
   playing = wanted;
   byId("play").textContent = playing ? "❚❚ Pause" : "▶ Play";
-  if (!playing) return;
-  if (time >= end) show(0);
-  lastFrame = performance.now();
-  cancelAnimationFrame(nextFrame); // left by a play that was paused within the same frame
-  nextFrame = requestAnimationFrame(frame);
+  if (playing && time >= end) show(0);
 }
 
 function frame(now) {
-  if (!playing) return;
   const elapsed = Math.min(now - lastFrame, 250) / 1000; // so that a tab that was hidden does not jump
   lastFrame = now;
-  show(time + elapsed * Number(byId("speed").value));
-  if (time >= end) play(false);
-  nextFrame = requestAnimationFrame(frame);
+  if (playing) show(time + elapsed * Number(byId("speed").value));
+  if (playing && time >= end) play(false);
+  requestAnimationFrame(frame);
 }
 
 function look(view) {
@@ -281,3 +275,4 @@ const views = [
   ...Object.entries(data.sections).flatMap(([name, panels]) => drawSection(name, panels)),
 ];
 show(0);
+requestAnimationFrame(frame);
