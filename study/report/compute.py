@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,16 +20,9 @@ from study.report.sunlight import shortest_episodes
 Work = dict[str, Callable[[], Any]]  # by file: computes the content for WRITE
 
 
-def write_single(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Writes named arrays in single precision, which is enough for figures and replays."""
-    write_npz(
-        path, {name: a.astype(np.float32) if a.dtype == np.float64 else a for name, a in arrays.items()}
-    )
-
-
 WRITE: dict[str, Callable[[Path, Any], None]] = {
     ".json": write_json,
-    ".npz": write_single,
+    ".npz": write_npz,
     ".csv": write_text,
 }
 
@@ -54,7 +47,11 @@ def compute(study: Path, device: str | None = None) -> None:
             if not (directory / name).exists():
                 print(f"{directory / name} ...", flush=True)  # a whole line, since bars may follow
                 started = time.perf_counter()
-                WRITE[Path(name).suffix](directory / name, make())
+                content = make()
+                if name.endswith(".npz"):  # single precision is enough for figures and replays
+                    single = {np.dtype(np.float64): np.float32}
+                    content = {key: a.astype(single.get(a.dtype, a.dtype)) for key, a in content.items()}
+                WRITE[Path(name).suffix](directory / name, content)
                 print(f"{directory / name}: {time.perf_counter() - started:.0f} s", flush=True)
 
 

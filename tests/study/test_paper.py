@@ -2,7 +2,7 @@
 
 import pytest
 
-from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Results, tables
+from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Results, measured, tables
 
 
 @pytest.fixture
@@ -17,6 +17,7 @@ def results() -> Results:
 
 
 def test_rows_hold_ours_and_the_papers(results: Results) -> None:
+    assert measured(results, "success").value == 75.0
     lines = tables(results).splitlines()
     assert lines[0] == "Table 2: interquartile mean (the mean of the middle half) over 300 episodes"
     assert lines[2] == f"{'':23}{'this one':>29}{'paper, no RTA':>24}{'paper, RTA':>24}"

@@ -147,27 +147,22 @@ def state(**changes: Any) -> ndarray:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ({"state": state()}, ["control_desired is missing"]),
         ({"state": state()[:, :15]}, ["(4, 15)", "(N, 16)"]),
         ({"state": np.float64(3.0)}, ["()", "(N, 16)"]),
-        ({"state": state(), "control_desired": np.zeros((3, 6))}, ["(3, 6)", "same N"]),
         ({"state": state().astype(str)}, ["state", "numbers"]),
-        ({"state": np.array([{}])}, ["not a .npz file of numbers"]),
         ({"state": state(i4=math.nan)}, ["state in row 3", "finite"]),
         ({"state": state(i6=0.5)}, ["quaternion", "row 3", "length 1"]),
         ({"state": state(i0=0.0)}, ["position in row 3", "centre"]),
         ({"state": state(i13=-300.0)}, ["temperature in row 3", "-273.15"]),
         ({"state": state(i14=-1.0)}, ["energy in row 3", "negative"]),
-        ({"state": state(), "control_desired": np.full((4, 6), np.nan)}, ["control_desired", "finite"]),
+        ({"control_desired": np.full((4, 6), np.nan)}, ["control_desired", "finite"]),
     ],
 )
 def test_bad_states_are_refused(
     content: dict[str, ndarray], words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "states.npz"
-    if "state" in content and len(words) > 1:
-        content = {"control_desired": np.zeros((4, 6))} | content
-    np.savez(path, **content)
+    np.savez(path, **{"state": state(), "control_desired": np.zeros((4, 6))} | content)
     arguments = ["filter", "--states", str(path), "--out", str(tmp_path / "out.npz")]
     assert_refused(arguments, [str(path), *words], capsys)
     assert not (tmp_path / "out.npz").exists()
