@@ -55,10 +55,9 @@ class Picture extends Scene {
 
   // `share`: of the way from the last state to the current one
   show(flight, share) {
-    const { before: a, state: b, desired, control } = flight;
-    const mixed = i => a[i] + share * (b[i] - a[i]);
-    const q = new THREE.Quaternion(...a.slice(6, 10)).slerp(new THREE.Quaternion(...b.slice(6, 10)), share).toArray();
-    this.draw({ p: [0, 1, 2].map(mixed), q, sun: mixed(15), desired, control });
+    const { before, state, desired, control } = flight, x = mixed(before, state, share);
+    const q = turned(before.slice(6, 10), state.slice(6, 10), share);
+    this.draw({ p: x.slice(0, 3), q, sun: x[15], desired, control });
   }
 }
 

@@ -28,10 +28,6 @@ const decimals_of = (range) => Math.min(6, Math.max(0, 2 - Math.floor(Math.log10
 // Returns the last row that is not after t.
 const rowAt = (run, t) => Math.max(0, run.time.findLastIndex((each) => each <= t));
 
-// Returns the numbers a share of the way from one list to another.
-const mixed = (a, b, share) => a.map((each, i) => each + share * (b[i] - each));
-const turned = (a, b, share) => new THREE.Quaternion(...a).slerp(new THREE.Quaternion(...b), share).toArray();
-
 // ---- the scene ----
 
 class Film extends Scene {

@@ -294,6 +294,15 @@ function of_triangles(corners) {
   return shape;
 }
 
+// returns the numbers, or the attitude, a share of the way from one to another
+function mixed(a, b, share) {
+  return Array.from(a, (each, i) => each + share * (b[i] - each));
+}
+
+function turned(a, b, share) {
+  return new THREE.Quaternion(...a).slerp(new THREE.Quaternion(...b), share).toArray();
+}
+
 // returns a colour as the renderer computes with it
 function linear(hex) {
   return new THREE.Color(hex).convertSRGBToLinear();
