@@ -21,7 +21,7 @@ def earliest_success(
     theta_s: Tensor,
     priority: Tensor,
     c: InspectionParameters,
-    target: ChiefParameters | None = None,
+    target: ChiefParameters,
     number: Tensor | None = None,
 ) -> Tensor:
     """Returns the time in s when the points lit so far first weigh enough for success; infinite after the timeout.
@@ -30,7 +30,6 @@ def earliest_success(
         theta_s: (B,) the Sun's angle at the start; priority: (3, B).
         target: the chief; number: (B,) which determines its motion, if this is drawn.
     """
-    target = target or ChiefParameters()
     whole, tumbling = surface(target, c), Tumbling(target, c, len(theta_s))
     tumbling.begin(torch.arange(len(theta_s)), number)
     weights = point_weights(whole.normals, priority, whole.areas)

@@ -11,20 +11,15 @@ from inspection.model.parameters import ChiefParameters, InspectionParameters
 from study.report.sunlight import earliest_success
 
 
-def by_loop(
-    theta: float, priority: np.ndarray, c: InspectionParameters, areas: np.ndarray | None = None
-) -> float:
+def by_loop(theta: float, priority: np.ndarray, c: InspectionParameters) -> float:
     """Returns each point's moment of first light from its angle to the Sun's circle, then points in that order."""
     normals = chief.fibonacci_sphere(c.num_points).T.numpy()
-    sizes = np.ones(c.num_points) if areas is None else areas
-    pairs = zip(normals, sizes, strict=True)
-    angles = [size * math.acos(max(-1.0, min(1.0, -float(n @ priority)))) for n, size in pairs]
+    angles = [math.acos(max(-1.0, min(1.0, -float(n @ priority)))) for n in normals]
     lit_at = []
     for n in normals:
         # n . s(t) = |n_xy| cos(azimuth - theta + n t) is first positive when the Sun is 90 deg before the azimuth
-        ahead = (theta - math.atan2(n[1], n[0])) % (
-            2 * math.pi
-        )  # the Sun's angle falls by this to reach the point
+        # the Sun's angle falls by this to reach the point
+        ahead = (theta - math.atan2(n[1], n[0])) % (2 * math.pi)
         dark = math.pi / 2 < ahead < 3 * math.pi / 2
         lit_at.append((ahead - math.pi / 2) / c.mean_motion if dark else 0.0)
     total = 0.0
@@ -41,7 +36,7 @@ def test_it_is_the_moment_at_which_enough_points_have_been_lit():
     theta = rng.uniform(0.0, 2 * math.pi, 20)
     priority = rng.normal(size=(3, 20))
     priority /= np.linalg.norm(priority, axis=0)
-    found = earliest_success(torch.tensor(theta), torch.tensor(priority), c).numpy()
+    found = earliest_success(torch.tensor(theta), torch.tensor(priority), c, ChiefParameters()).numpy()
     expected = np.array([by_loop(theta[i], priority[:, i], c) for i in range(20)])
     assert (found >= expected - 1e-6).all() and (found <= expected + c.action_period).all()
 
