@@ -123,7 +123,7 @@ def flown(arm: Arm, rta: bool) -> dict[str, Any]:
 
 def guided(config: Config, name: str, cases: int, rta: bool, seed: int = TEST_CASES) -> dict[str, Any]:
     """Returns the summary of a guidance, which decides every second, with the filter off or on."""
-    experiment = Experiment(with_rta(config, rta, config.rta.period).with_solver("auto"), cases)
+    experiment = Experiment(with_rta(config, rta, config.rta.period), cases)
     return summary(play_controller(name, experiment, cases, seed), experiment.config)
 
 

@@ -144,7 +144,6 @@ def filtered(count: int, period: float, config: str | None = None) -> Quantities
 def shipped_agent(cases: int, rta: bool) -> tuple[Policy, Experiment]:
     """Returns a shipped agent, and the experiment in which it flies `cases` cases."""
     policy, trained = load_policy(AGENT)
-    trained = trained.with_solver("auto")
     return policy, Experiment(replace(trained, train=replace(trained.train, rta=rta, device="cpu")), cases)
 
 

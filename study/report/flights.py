@@ -76,7 +76,7 @@ def flights_with(arm: Arm, config: Config, cases: int) -> tuple[Episodes, Config
 def evaluate(name: str, config: Config) -> Results:
     """Evaluates a controller that is not trained on the study's test cases."""
     cases = config.train.final_episodes
-    experiment = Experiment(config.with_solver("auto"), cases)
+    experiment = Experiment(config, cases)
     return report(play_controller(name, experiment, cases, TEST_CASES), experiment.config, TEST_CASES)
 
 
@@ -113,7 +113,7 @@ def in_world(arm: Arm, plant: str, rta: bool, uncertainty: Uncertainty) -> Resul
 
     The results lack the configuration, which would be repeated often.
     """
-    config = with_rta(arm.config, rta, FILTER_PERIOD).with_solver("auto")
+    config = with_rta(arm.config, rta, FILTER_PERIOD)
     if not uncertainty.is_zero:  # the paper's filter has no error bounds
         config = replace(config, rta=replace(config.rta, filter="checked"))
     world = load(PLANTS / f"{plant}.toml", Config()).plant
@@ -134,7 +134,7 @@ def progress(arms: dict[str, Arm], config: Config) -> dict[str, dict[str, list[f
         starts = test_cases(arm.config, cases, TEST_CASES).repeat(seeds)
         found[name] = weights_over_time(env, agent(arm.policy.to(experiment.device), env), starts)
     cases = config.train.final_episodes
-    experiment = Experiment(with_rta(config, True, FILTER_PERIOD).with_solver("auto"), cases)
+    experiment = Experiment(with_rta(config, True, FILTER_PERIOD), cases)
     env = experiment.env(cases, decide_every=FILTER_PERIOD, compiled=experiment.compiled)
     guidance = classical(GUIDE, env, TEST_CASES, FILTER_PERIOD)
     return found | {"guidance": weights_over_time(env, guidance, test_cases(config, cases, TEST_CASES))}
