@@ -12,13 +12,15 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
 
 from processors import processors
 
+R = TypeVar("R")
 VARIABLE = "RTA_CACHE_DIR"  # names a directory for built libraries, instead of the user's cache directory
 COMPILERS = ("clang", "gcc", "cc")  # clang's code takes 10 % less time, with the same bits
 # No product is fused with a sum, so that all vector widths, and plain C, give the same bits. Code printed for one
@@ -70,7 +72,14 @@ def library(sources: Mapping[str, str]) -> ctypes.CDLL:
     if directory is None:
         say(f"there is no home directory: what is compiled is not kept; ${VARIABLE} may say where to")
         return made(sources)
-    return kept(directory, name) or made_and_kept(sources, directory, name)
+    if found := kept(directory, name, ".so", lambda path: ctypes.CDLL(str(path))):
+        return found
+    try:
+        return ctypes.CDLL(str(keep(directory, name, ".so", lambda work: built(sources, work))))
+    except OSError as error:
+        result = made(sources)
+        say(f"{directory}: {error.strerror or error}; what is compiled is not kept")
+        return result
 
 
 # the cache
@@ -87,51 +96,40 @@ def cache_dir() -> Path | None:
     return None
 
 
-def kept(directory: Path, name: str) -> ctypes.CDLL | None:
-    """Returns the library of this name from the cache, or None if it is missing or damaged.
+def kept(directory: Path, name: str, suffix: str, load: Callable[[Path], R]) -> R | None:
+    """Returns what a file in the cache holds, None if it is missing or damaged.
 
-    A truncated library would end the process when it is loaded, so its name holds its contents' digest.
+    A truncated library would end the process when it is loaded, so a file's name holds its contents' digest.
     """
-    for path in directory.glob(f"{name}.*.so"):
+    for path in directory.glob(f"{name}.*{suffix}"):
         try:
-            if path.name == f"{name}.{digest(path)}.so":
-                return ctypes.CDLL(str(path))
-            say(f"{path}: damaged, compiled anew")
+            if path.name == f"{name}.{digest(path)}{suffix}":
+                return load(path)
+            say(f"{path}: damaged, made anew")
         except OSError as error:
-            say(f"{path}: {error.strerror or error}; compiled anew")
+            say(f"{path}: {error.strerror or error}; made anew")
     return None
 
 
-def made_and_kept(sources: Mapping[str, str], directory: Path, name: str) -> ctypes.CDLL:
-    """Builds a library in the cache, or elsewhere if that fails."""
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        clear(directory)
-        with tempfile.TemporaryDirectory(prefix=WORK, dir=directory) as work:
-            return ctypes.CDLL(str(moved(built(sources, Path(work)), directory, name)))
-    except OSError as error:
-        result = made(sources)
-        say(f"{directory}: {error.strerror or error}; what is compiled is not kept")
-        return result
+def keep(directory: Path, name: str, suffix: str, make: Callable[[Path], Path]) -> Path:
+    """Puts a file that `make` writes into a given directory into the cache, and returns its path there.
 
-
-def moved(built: Path, directory: Path, name: str) -> Path:
-    """Puts a library into the cache, whole or not at all, since other processes may do the same."""
-    path = directory / f"{name}.{digest(built)}.so"
-    os.replace(built, path)
-    for other in directory.glob(f"{name}.*.so"):
-        if other != path:
-            with suppress(OSError):
-                other.unlink()
-    return path
-
-
-def clear(directory: Path) -> None:
-    """Removes from the cache the files of processes that were killed."""
+    It comes whole or not at all, since other processes may do the same.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
     for work in directory.glob(f"{WORK}*"):
         with suppress(OSError):
             if time.time() - work.stat().st_mtime > ABANDONED:
                 shutil.rmtree(work)
+    with tempfile.TemporaryDirectory(prefix=WORK, dir=directory) as folder:
+        own = make(Path(folder))
+        path = directory / f"{name}.{digest(own)}{suffix}"
+        os.replace(own, path)
+    for other in directory.glob(f"{name}.*{suffix}"):
+        if other != path:
+            with suppress(OSError):
+                other.unlink()
+    return path
 
 
 def digest(path: Path) -> str:
@@ -146,11 +144,7 @@ def made(sources: Mapping[str, str]) -> ctypes.CDLL:
     """Builds a library of which no file remains; raises NoCompilerError if that fails."""
     try:
         with tempfile.TemporaryDirectory(prefix=WORK, ignore_cleanup_errors=True) as work:
-            path = built(sources, Path(work))
-            try:
-                return ctypes.CDLL(str(path))
-            except OSError as error:
-                raise NoCompilerError(f"what {compiler()[0]} built cannot be loaded: {error}") from error
+            return ctypes.CDLL(str(built(sources, Path(work))))
     except NoCompilerError:
         raise
     except OSError as error:
@@ -191,11 +185,6 @@ def output(command: Sequence[str], work: Path | None = None) -> str:
         reason = next((line for line in said if "error" in line), said[-1] if said else "no reason given")
         raise NoCompilerError(f"{command[0]} failed ({done.returncode}): {reason}")
     return done.stdout
-
-
-def compiler() -> tuple[str, ...]:
-    """Returns the command of the first of `compilers`."""
-    return compilers()[0]
 
 
 def compilers() -> list[tuple[str, ...]]:
@@ -268,7 +257,8 @@ def for_vectors(real: str) -> str:
     by_lane += [f"BY_LANE({macro(name, real)}, {name}{suffix}, )" for name in OF_ONE]
     by_lane += [f"BY_LANE_OF_TWO({name.upper()}, {name}{suffix})" for name in OF_TWO]
     functions = [header("functions.h")] if real == "double" else []
-    return "\n".join([*numbers(real), *head, header("vector.h"), *by_lane, *functions, ""])
+    numbers = [f"typedef {real} real;", "#include <math.h>"]
+    return "\n".join([*numbers, *head, header("vector.h"), *by_lane, *functions, ""])
 
 
 def macro(name: str, real: str) -> str:
@@ -277,11 +267,6 @@ def macro(name: str, real: str) -> str:
     Names of OWN belong to the functions of `functions.h`.
     """
     return f"LIBRARY_{name.upper()}" if real == "double" and name in OWN else name.upper()
-
-
-def numbers(real: str) -> list[str]:
-    """Returns the type of numbers, and the header of their functions."""
-    return [f"typedef {real} real;", "#include <math.h>"]
 
 
 def header(name: str) -> str:

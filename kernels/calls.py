@@ -17,7 +17,7 @@ from torch import Tensor
 from columns import has_tensors, mapped, tensors_in
 from kernels.build import header
 from kernels.exported import TAKEN
-from kernels.operations.expressions import MASK, NUMBER, Expression, Program, Value
+from kernels.operations.expressions import MASK, Expression, Program, Value
 from kernels.operations.shapes import filled
 from kernels.parts import Called, Part, Recorded, part_of
 from kernels.recorder import Recorder, evaluated
@@ -25,8 +25,8 @@ from kernels.recorder import Recorder, evaluated
 # names that the headers and printed text use themselves
 HEADERS = "vector.h", "scalar.h", "functions.h", "waiting.h"
 TEXT = re.compile(
-    "t[0-9]+.*|on|[ik]|next_.*|(segment|loop)_[0-9]+|SEGMENTS_.*|LOOPS_.*|(load|store)_.*|mem...|straight|turns|next|start|end|in|in_step|"
-    "at|column|count|first|lanes?|last|list|out|out_step|ready|there|to|wants|work"
+    "t[0-9]+.*|on|[ik]|next_.*|(segment|loop)(_[0-9]+)?|(load|store)_.*|mem...|straight|turns|next|start|end|in|in_step|at|"
+    "column|count|first|lanes?|last|list|out|out_step|ready|real|record|there|to|wants|whole|work"
 )
 ONCE = "once"  # the number of calls by `when`
 
@@ -34,17 +34,124 @@ ONCE = "once"  # the number of calls by `when`
 class Recording(Recorder):
     """Records a function with control flow, by the methods that `columns` calls."""
 
-    def loop(self, *given: Any) -> list[Tensor]:
-        """Records a loop, see `loop`."""
-        return loop(self, *given)
+    def call(self, function: Callable[..., Any], given: Sequence[Any], long: int, name: str) -> Any:
+        """Records a call of a function that is printed once."""
+        callee = self.one(function, function, given, None, long, name)
+        found = self.program.make("call", callee.name, self.on, *self.values_of(given))
+        return callee.like(self.results_of(callee, found))
 
-    def when(self, *given: Any) -> list[Tensor]:
-        """Records a conditional call, see `when`."""
-        return when(self, *given)
+    def loop(
+        self,
+        body: Callable[..., tuple[Sequence[Tensor], Tensor]],
+        state: Sequence[Tensor],
+        given: Sequence[Any],
+        alive: Tensor,
+        most: int,
+        waits: bool,
+        long: int,
+    ) -> list[Tensor]:
+        """Records a loop, whose body is printed as a function."""
 
-    def call(self, *given: Any) -> Any:
-        """Records a call, see `call`."""
-        return call(self, *given)
+        def turn(*all_given: Any) -> list[Tensor]:
+            following, goes_on = body(*all_given)
+            return [*following, goes_on]
+
+        if most < 1:
+            return [x.clone() for x in state]
+        both = (*state, *given)
+        names = [*names_of(body, both)[: len(state)], "goes_on"]
+        callee = self.one(body, turn, both, names, long, "")
+        return self.repeated(callee, alive, str(most), waits, state, self.values_of(both))
+
+    def when(
+        self,
+        condition: Tensor,
+        function: Callable[..., Sequence[Tensor]],
+        otherwise: Sequence[Tensor],
+        given: Sequence[Any],
+        waits: bool,
+        long: int,
+        name: str,
+    ) -> list[Tensor]:
+        """Records a function that is called where a condition holds."""
+        callee = self.one(function, function, given, None, long, name)
+        values = [*self.values_of(otherwise), *self.values_of(given)]
+        return self.repeated(callee, condition, ONCE, waits, otherwise, values)
+
+    def repeated(
+        self,
+        callee: Recorded,
+        alive: Tensor,
+        most: str,
+        waits: bool,
+        state: Sequence[Tensor],
+        values: Sequence[Value],
+    ) -> list[Tensor]:
+        """Returns a loop's results; values: of the state, then of the other arguments.
+
+        Raises ValueError if the results differ from the state in number, shape or type.
+        """
+        before = [(tuple(x.shape[:-1]), x.dtype) for x in state]
+        after = [(part.shape, dtype) for part, dtype in zip(callee.outputs, callee.dtypes, strict=True)]
+        if before != after[: len(before)] or len(after) - len(before) > 1:
+            raise ValueError(f"{callee.name} returns {after} in the place of {before}")
+        on = self.program.and_(self.on, self.values(alive).item())
+        if on is False:
+            return [x.clone() for x in state]
+        made = self.program.make("waiting" if waits else "loop", callee.name, most, on, *values)
+        return self.results_of(callee, made)[: len(state)]
+
+    def one(
+        self,
+        key: Callable[..., Any],
+        function: Callable[..., Any],
+        given: Sequence[Any],
+        results: Sequence[str] | None,
+        long: int,
+        name: str,
+    ) -> Recorded:
+        """Records a function, identified by `key`, once for each kind of arguments (`told_apart`)."""
+        called = self.called
+        known = key, long, name, *map(told_apart, given)
+        if known not in called.by_key:
+            names = [name for pair in zip(names_of(key, given), given, strict=True) for name in leaves(*pair)]
+
+            def run(*columns: Tensor) -> Any:
+                each = iter(columns)
+                return function(*mapped(lambda _: next(each), list(given)))
+
+            run.__doc__ = inspect.getdoc(key)
+            with self.aside():
+                examples = [x.detach().clone() for x in tensors_in(given)]
+                free = called.free(fit([name or getattr(key, "__name__", "of_partial")])[0])
+                found = record(called, run, examples, free, names, results, long)
+            called.kept.append(given)
+            called.by_key[known] = called.by_name[found.name] = found
+        return called.by_key[known]
+
+    def values_of(self, given: Sequence[Any]) -> list[Value]:
+        """Returns all values of the tensors among the arguments, in the tensors' types."""
+        p, found = self.program, list[Value]()
+        for x in tensors_in(given):
+            found += [p.mask(v) if x.dtype == torch.bool else p.number(v) for v in self.values(x).flat]
+        if any(isinstance(v, Expression) and v.varies for v in found):
+            raise NotImplementedError("a call along an axis that is looped over cannot be printed as C")
+        return found
+
+    def results_of(self, callee: Recorded, called: Expression) -> list[Tensor]:
+        """Returns the results of a call or a loop as tensors that the recorder knows."""
+        found = []
+        for part, dtype in zip(callee.outputs, callee.dtypes, strict=True):
+            with self.aside():
+                tensor = torch.zeros(*part.shape, 1, dtype=dtype)
+            values: list[Value] = [
+                self.program.make("result", called, result(called, part, i), kind=part.values)
+                for i in range(part.size)
+            ]
+            self.is_double |= dtype == torch.float64
+            self.put(tensor, filled(values, tuple(tensor.shape)))
+            found.append(tensor)
+        return found
 
 
 def recorded(
@@ -60,7 +167,7 @@ def recorded(
     kinds = {part_of(each, x).kind for each, x in zip(given, examples, strict=True)}
     for real in ("float", "double") if {"float"} <= kinds <= {"float", "bool"} else ("double",):
         called = Called(real, single, names={name})
-        found = record(called, function, examples, name, given, results, long, is_own=False)
+        found = record(called, function, examples, name, given, results, long)
         if real == "double" or not called.is_double:
             break
     return found, called
@@ -74,28 +181,22 @@ def record(
     given: Sequence[str],
     results: Sequence[str] | None,
     long: int,
-    is_own: bool = True,
 ) -> Recorded:
     """Records one function.
 
     Args:
-        given, results: names of its arguments and results (None: its named tuple's fields, else result_0, result_1,
-            ...).
-        is_own: make these names valid in C; else the caller has chosen them.
+        given, results: names of its arguments and results (None: its named tuple's fields, else result_0,
+            result_1, ...); they are made valid in C.
     """
-    if is_own:
-        given = fit(given)
+    given = fit(given)
     inputs = [part_of(each, x) for each, x in zip(given, examples, strict=True)]
     program = Program(called.real, called.single)
     recorder = Recording(program, long, True if called.single else program.input("on", MASK), called)
     returned, values = evaluated(function, examples, inputs, recorder)
     called.is_double |= recorder.is_double
     listed = [returned] if isinstance(returned, Tensor) else list(returned)
-    default = [f"result_{i}" if is_own else f"y{i}" for i in range(len(listed))]
-    results = results or getattr(returned, "_fields", default)
-    if is_own:
-        results = [f"{each}_after" if each in given else each for each in results]
-        results = fit([*given, *results])[len(given) :]
+    results = results or getattr(returned, "_fields", [f"result_{i}" for i in range(len(listed))])
+    results = fit([*given, *(f"{each}_after" if each in given else each for each in results)])[len(given) :]
     return Recorded(
         name=name,
         about=(inspect.getdoc(function) or "").split("\n")[0],
@@ -105,124 +206,8 @@ def record(
         values=values,
         long=long,
         dtypes=[y.dtype for y in listed],
-        like=like(returned),
+        like=(lambda x: x[0]) if isinstance(returned, Tensor) else getattr(returned, "_make", list),
     )
-
-
-def like(returned: Any) -> Callable[[list[Tensor]], Any]:
-    """Returns a function that turns a list of tensors into the type of `returned`: a tensor, named tuple or list."""
-    if isinstance(returned, Tensor):
-        return lambda tensors: tensors[0]
-    return type(returned)._make if hasattr(returned, "_make") else list
-
-
-# functions that `columns` calls
-
-
-def call(recorder: Recorder, function: Callable[..., Any], given: Sequence[Any], long: int, name: str) -> Any:
-    """Records a call of a function that is printed once."""
-    callee = one(recorder, function, function, given, None, long, name)
-    found = recorder.program.make("call", callee.name, recorder.on, *values_of(recorder, given))
-    return callee.like(results_of(recorder, callee, found))
-
-
-def loop(
-    recorder: Recorder,
-    body: Callable[..., tuple[Sequence[Tensor], Tensor]],
-    state: Sequence[Tensor],
-    given: Sequence[Any],
-    alive: Tensor,
-    most: int,
-    waits: bool,
-    long: int,
-) -> list[Tensor]:
-    """Records a loop, whose body is printed as a function."""
-
-    def turn(*all_given: Any) -> list[Tensor]:
-        following, goes_on = body(*all_given)
-        return [*following, goes_on]
-
-    if most < 1:
-        return [x.clone() for x in state]
-    both = (*state, *given)
-    names = [*names_of(body, both)[: len(state)], "goes_on"]
-    callee = one(recorder, body, turn, both, names, long, "")
-    return repeated(recorder, callee, alive, str(most), waits, state, values_of(recorder, both))
-
-
-def when(
-    recorder: Recorder,
-    condition: Tensor,
-    function: Callable[..., Sequence[Tensor]],
-    otherwise: Sequence[Tensor],
-    given: Sequence[Any],
-    waits: bool,
-    long: int,
-    name: str,
-) -> list[Tensor]:
-    """Records a function that is called where a condition holds."""
-    callee = one(recorder, function, function, given, None, long, name)
-    values = [*values_of(recorder, otherwise), *values_of(recorder, given)]
-    return repeated(recorder, callee, condition, ONCE, waits, otherwise, values)
-
-
-def repeated(
-    recorder: Recorder,
-    callee: Recorded,
-    alive: Tensor,
-    most: str,
-    waits: bool,
-    state: Sequence[Tensor],
-    values: Sequence[Value],
-) -> list[Tensor]:
-    """Makes the expression of a loop and returns its results; values: of the state, then of the other arguments."""
-    check_state(callee, state)
-    on = recorder.program.and_(recorder.on, recorder.values(alive).item())
-    if on is False:
-        return [x.clone() for x in state]
-    made = recorder.program.make("waiting" if waits else "loop", callee.name, most, on, *values)
-    return results_of(recorder, callee, made)[: len(state)]
-
-
-def check_state(callee: Recorded, state: Sequence[Tensor]) -> None:
-    """Raises ValueError if results differ from the state in number, shape or type."""
-    before = [(tuple(x.shape[:-1]), x.dtype) for x in state]
-    after = [(part.shape, dtype) for part, dtype in zip(callee.outputs, callee.dtypes, strict=True)]
-    if before != after[: len(before)] or len(after) - len(before) > 1:
-        raise ValueError(f"{callee.name} returns {after} in the place of {before}")
-
-
-def one(
-    recorder: Recorder,
-    key: Callable[..., Any],
-    function: Callable[..., Any],
-    given: Sequence[Any],
-    results: Sequence[str] | None,
-    long: int,
-    name: str,
-) -> Recorded:
-    """Records a function once for each kind of arguments (`told_apart`), and returns the recording.
-
-    Args:
-        key: identifies the function.
-    """
-    called = recorder.called
-    known = key, long, name, *map(told_apart, given)
-    if known not in called.by_key:
-        names = [name for pair in zip(names_of(key, given), given, strict=True) for name in leaves(*pair)]
-
-        def run(*columns: Tensor) -> Any:
-            each = iter(columns)
-            return function(*mapped(lambda _: next(each), list(given)))
-
-        run.__doc__ = inspect.getdoc(key)
-        with recorder.aside():
-            examples = [x.detach().clone() for x in tensors_in(given)]
-            free = called.free(fit([name or getattr(key, "__name__", "of_partial")])[0])
-            found = record(called, run, examples, free, names, results, long)
-        called.kept.append(given)
-        called.by_key[known] = called.by_name[found.name] = found
-    return called.by_key[known]
 
 
 def told_apart(given: Any) -> Any:
@@ -261,57 +246,19 @@ def fit(names: Sequence[str]) -> list[str]:
     """Makes names that are valid in C for arguments and results of one function: all different and unused elsewhere."""
     found: list[str] = []
     for name in names:
-        own = re.sub(r"^(?=[0-9]|next_)", "x_", re.sub(r"\W", "", name).strip("_") or "x")
+        own = re.sub(r"^(?=[0-9]|next_)", "x_", re.sub(r"\W", "", name, flags=re.ASCII).strip("_") or "x")
         own = own[0].lower() + own[1:]
-        while not is_free(own) or own in found:
+        while TAKEN.fullmatch(own) or TEXT.fullmatch(own) or own in words() or own in found:
             own += "_"
         found.append(own)
     return found
 
 
 @functools.cache
-def is_free(name: str) -> bool:
-    """Checks whether C, its headers here, and printed text do not use a name."""
-    taken = TAKEN.fullmatch(name) or TEXT.fullmatch(name) or not re.fullmatch("[a-z][a-zA-Z0-9_]*", name)
-    return not taken and name not in words()
-
-
-@functools.cache
 def words() -> frozenset[str]:
-    """Returns the names of functions and types that the headers define."""
-    defined = re.compile(
-        r"^static [^(]*?\b(\w+)\(|^typedef .*?\b(\w+)(?:\(.*\)| __attribute__.*)?;|^struct (\w+) {",
-        re.MULTILINE,
-    )
-    found = [match for name in HEADERS for match in defined.findall(header(name))]
-    return frozenset(word for match in found for word in match if word)
-
-
-def values_of(recorder: Recorder, given: Sequence[Any]) -> list[Value]:
-    """Returns all values of the tensors among the arguments, in the tensors' types."""
-    p, found = recorder.program, list[Value]()
-    for x in tensors_in(given):
-        found += [p.mask(v) if x.dtype == torch.bool else p.number(v) for v in recorder.values(x).flat]
-    if any(isinstance(v, Expression) and v.varies for v in found):
-        raise NotImplementedError("a call along an axis that is looped over cannot be printed as C")
-    return found
-
-
-def results_of(recorder: Recorder, callee: Recorded, called: Expression) -> list[Tensor]:
-    """Returns the results of a call or a loop as tensors that the recorder knows."""
-    found = []
-    for part, dtype in zip(callee.outputs, callee.dtypes, strict=True):
-        with recorder.aside():
-            tensor = torch.zeros(*part.shape, 1, dtype=dtype)
-        kind = MASK if part.is_mask else NUMBER
-        values: list[Value] = [
-            recorder.program.make("result", called, result(called, part, i), kind=kind)
-            for i in range(part.size)
-        ]
-        recorder.is_double |= dtype == torch.float64
-        recorder.put(tensor, filled(values, tuple(tensor.shape)))
-        found.append(tensor)
-    return found
+    """Returns the names of the functions that the headers define."""
+    text = "\n".join(map(header, HEADERS))
+    return frozenset(re.findall(r"^static .*?(\w+)\([^(]*$", text, re.MULTILINE))
 
 
 def result(called: Expression, part: Part, i: int) -> str:

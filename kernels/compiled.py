@@ -3,7 +3,7 @@
 import ctypes
 import math
 import os
-import time
+import timeit
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from types import FunctionType
@@ -89,7 +89,7 @@ class Kernel:
         self.waits = bool(function.waiting)
         self.seconds = 0.0  # time of a column; 0: not known yet
         probe = [examples[i].expand(*examples[i].shape[:-1], PROBED).contiguous() for i in self.inputs]
-        self.seconds = min(timed(self.of, probe, PROBED) for _ in range(3)) / PROBED
+        self.seconds = min(timeit.repeat(lambda: self.of(probe, PROBED), number=1, repeat=3)) / PROBED
 
     def __call__(self, *tensors: Tensor, times: int = 1) -> Parts:
         """Returns the function's results, or those after several calls in a row, see `batch`.
@@ -103,7 +103,11 @@ class Kernel:
     def of(self, tensors: Sequence[Tensor], columns: int, times: int = 1) -> Parts:
         """Returns the function's results for arguments that have components; raises ValueError if they do not fit."""
         for part, x in zip(self.parts, tensors, strict=True):
-            check(part.name, x, DTYPES[part.kind], (*part.shape, columns))
+            dtype, shape = DTYPES[part.kind], (*part.shape, columns)
+            if x.dtype != dtype or x.shape != shape or not x.is_cpu:
+                raise ValueError(
+                    f"{part.name}: {x.dtype} {tuple(x.shape)} on {x.device}: must be {dtype} {shape} on the CPU"
+                )
         results = [
             torch.empty(*shape, columns, dtype=dtype)
             for shape, dtype in zip(self.shapes, self.dtypes, strict=True)
@@ -138,14 +142,6 @@ def sources(function: Printed, apart: bool = True) -> dict[str, str]:
     }
 
 
-def check(name: str, x: Tensor, dtype: torch.dtype, shape: tuple[int, ...]) -> None:
-    """Raises ValueError if a tensor is not what C reads: its type and shape, on the CPU."""
-    if x.dtype != dtype or x.shape != shape or not x.is_cpu:
-        raise ValueError(
-            f"{name}: {x.dtype} {tuple(x.shape)} on {x.device}: must be {dtype} {shape} on the CPU"
-        )
-
-
 def batch(function: Printed) -> str:
     """Returns in C the loop of a printed function over columns: NAME_batch(first, last, in, steps, out, steps, times).
 
@@ -160,7 +156,7 @@ def batch(function: Printed) -> str:
         "{",
         "    for (long column = first; column < last; column += W) {",
         "        const long lanes = last - column;",
-        *(f"        {'M' if part.is_mask else 'V'} {part.name}[{part.size}];" for part in both),
+        *(f"        {part.array()};" for part in both),
         *(moved(part, f"in[{i}]", f"in_step[{i}]", "{0}[k] = load_{1}({2});") for i, part in enumerate(inputs)),
         f"        {call}",
         *repeated(function, call),
@@ -257,10 +253,3 @@ def with_own_code(function: Callable[..., Parts]) -> FunctionType:
         return function(*tensors)
 
     return FunctionType(run.__code__.replace(), run.__globals__, run.__name__, None, run.__closure__)
-
-
-def timed(function: Callable[..., Any], *arguments: Any) -> float:
-    """Returns the time of a call in s."""
-    started = time.perf_counter()
-    function(*arguments)
-    return time.perf_counter() - started

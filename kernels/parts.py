@@ -9,10 +9,15 @@ import torch
 from numpy import ndarray
 from torch import Tensor
 
-from kernels.operations.expressions import Program
+from kernels.operations.expressions import MASK, NUMBER, Program
 
-# types in memory
-TYPES = {torch.float64: "double", torch.float32: "float", torch.bool: "bool", torch.int64: "long"}
+LETTER = {NUMBER: "V", MASK: "M"}  # types of values in C
+TYPES = {
+    torch.float64: "double",
+    torch.float32: "float",
+    torch.bool: "bool",
+    torch.int64: "long",
+}  # in memory
 
 
 @dataclass(frozen=True)
@@ -33,9 +38,13 @@ class Part:
         return math.prod(self.shape)
 
     @property
-    def is_mask(self) -> bool:
-        """Checks whether the part holds truth values."""
-        return self.kind == "bool"
+    def values(self) -> str:
+        """Returns MASK for truth values, else NUMBER."""
+        return MASK if self.kind == "bool" else NUMBER
+
+    def array(self, start: str = "") -> str:
+        """Returns the declaration of an array of vectors in C; start: of its name."""
+        return f"{LETTER[self.values]} {start}{self.name}[{self.size}]"
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,7 @@ class Printed:
 
     Attributes:
         name: in C; inputs, outputs: its arguments in their order, without those that have no components.
-        real: the type of its numbers; statements: their number.
-        text: of the function.
+        real: the type of its numbers; text: of the function.
         shapes, dtypes: of all results; given: shapes of all arguments, also of those without components.
         is_told: whether its first argument in C is the mask `on`.
         parts: the functions that it calls, each after those that it calls itself.
@@ -39,7 +38,6 @@ class Printed:
     inputs: list[Part]
     outputs: list[Part]
     real: str
-    statements: int
     text: str
     shapes: list[torch.Size]
     given: list[torch.Size]
@@ -68,7 +66,7 @@ def printed(
         name: in C.
         long: length of an axis that is looped over instead of written out, as of a table of points; 0: none is.
             The length of another axis must be no multiple of it.
-        names: of arguments and results in C; None: x0, x1, ... and y0, y1, ...
+        names: of arguments and results in C; None: x0, x1, ... and result_0, result_1, ...
         single: for one column only.
 
     Raises:
@@ -76,35 +74,32 @@ def printed(
     """
     found, called = recorded(function, examples, name, names, long, single)
     own, *others = (Body(each, called) for each in (found, *called.by_name.values()))
-    text, statements = own.text(is_told=own.asks)
+    text = own.text(is_told=own.asks)
     batch = "" if single else waiting(own)
-    texts = {body.function.name: body.text(is_told=not single) for body in others}
-    needed = called_by(batch or text, {name: part for name, (part, _) in texts.items()})
+    parts = {}
+    for each in others:
+        about = each.function.about.replace("*/", "* /")
+        comment = f"/* {about} */" if about else ""
+        parts[each.function.name] = f"{comment}\n{each.text(is_told=not single)}"
     return Printed(
         name=name,
         inputs=[part for part in found.inputs if part.size],
         outputs=[part for part in found.outputs if part.size],
         real=called.real,
-        statements=statements + sum(texts[name][1] for name in needed),
         text=text,
         shapes=[torch.Size(part.shape) for part in found.outputs],
         given=[torch.Size(part.shape) for part in found.inputs],
         dtypes=found.dtypes,
         is_told=own.asks,
-        parts=[f"{comment(called.by_name[name].about)}\n{texts[name][0]}" for name in needed],
+        parts=called_by(batch or text, parts),
         waiting=batch,
     )
 
 
 def called_by(text: str, parts: dict[str, str]) -> list[str]:
-    """Returns the names of the functions that a text calls, directly or not; each calls only those before it."""
+    """Returns of functions, by name, those that a text calls, directly or not; each calls only those before it."""
     wanted = set(CALL.findall(text))
     for name in reversed(parts):
         if name in wanted:
             wanted |= set(CALL.findall(parts[name]))
-    return [name for name in parts if name in wanted]
-
-
-def comment(about: str) -> str:
-    """Returns a comment line of C, or an empty line if there is no text."""
-    return f"/* {about.replace('*/', '* /')} */" if about else ""
+    return [part for name, part in parts.items() if name in wanted]

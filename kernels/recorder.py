@@ -23,7 +23,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from columns import ACTIVE, tensors_in
 from kernels.operations.aten import Operations
-from kernels.operations.expressions import MASK, NUMBER, Program, Value, kind_of
+from kernels.operations.expressions import MASK, Program, Value, kind_of
 from kernels.operations.shapes import filled
 from kernels.parts import TYPES, Called, Part, element
 
@@ -276,9 +276,10 @@ def evaluated(
 def argument(recorder: Recorder, part: Part) -> ndarray:
     """Returns the values of an input."""
     shape = recorder.operations.axes.short(part.shape)
-    kind = MASK if part.is_mask else NUMBER
     values = [
-        recorder.program.input(element(part, place, shape), kind, shape != part.shape, part.kind == "float")
+        recorder.program.input(
+            element(part, place, shape), part.values, shape != part.shape, part.kind == "float"
+        )
         for place in np.ndindex(shape)
     ]
     return filled(values, (*shape, 1))

@@ -12,7 +12,7 @@ from itertools import count
 from kernels.calls import result
 from kernels.operations.expressions import MASK, Expression, Value
 from kernels.parts import Part
-from kernels.text import LOOPS, Body, kind_in
+from kernels.text import LOOPS, Body
 
 Placed = tuple[str, str]  # a place, and the stored value's name in C
 
@@ -42,9 +42,9 @@ class Waits:
 
     def __init__(self, frame: "Frame", each: Expression) -> None:
         self.it, self.number = frame.body.repeated(each), next(frame.records.loops)
-        self.state = [[frame.records.place(kind_in(y)) for _ in range(y.size)] for y in self.it.state]
+        self.state = [[frame.records.place(y.values) for _ in range(y.size)] for y in self.it.state]
         values = iter(self.it.values)
-        self.given = [[frame.kept(next(values), kind_in(x)) for _ in range(x.size)] for x in self.it.given]
+        self.given = [[frame.kept(next(values), x.values) for _ in range(x.size)] for x in self.it.given]
         body = Body(self.it.callee, frame.body.called)
         self.body = Frame(frame.records, body, self) if has_waits(body) else None
 

@@ -7,11 +7,10 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy import ndarray
 
 from kernels.calls import ONCE
-from kernels.operations.expressions import MASK, NUMBER, REDUCTIONS, Expression, Value, kind_of
-from kernels.parts import Called, Part, Recorded, element
+from kernels.operations.expressions import MASK, REDUCTIONS, Expression, Value, kind_of
+from kernels.parts import LETTER, Called, Part, Recorded, element
 
 INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "=="}
 WIDTH = 120  # of lines
@@ -55,38 +54,31 @@ class Body:
     def __init__(self, function: Recorded, called: Called) -> None:
         self.function, self.called, self.long = function, called, function.long
         self.tables = list(function.program.tables.values())
-        self.stores = [
-            store
-            for each in zip(function.outputs, function.values, strict=True)
-            for store in self.filled(*each)
-        ]
-        self.needed = with_arguments(
-            function.program.expressions, indices(value for _, value, _ in self.stores)
-        )
+        self.stores: list[tuple[str, Value, str]] = []
+        for part, array in zip(function.outputs, function.values, strict=True):
+            shape, as_kind = array.shape[:-1], getattr(function.program, part.values)
+            places = np.ndindex(shape)
+            self.stores += [
+                (element(part, at, shape), as_kind(array[(*at, 0)]), part.values) for at in places
+            ]
+        wanted = indices(value for _, value, _ in self.stores)
+        self.needed = with_arguments(function.program.expressions, wanted)
         self.asks = not called.single and any(each.operation in (*LOOPS, "call") for each in self.needed)
 
-    def filled(self, part: Part, array: ndarray) -> list[tuple[str, Value, str]]:
-        """Returns the places of an output with their values."""
-        p, shape = self.function.program, array.shape[:-1]
-        kind, as_kind = (MASK, p.mask) if part.is_mask else (NUMBER, p.number)
-        return [
-            (element(part, place, shape), as_kind(array[(*place, 0)]), kind) for place in np.ndindex(shape)
-        ]
-
-    def text(self, is_told: bool) -> tuple[str, int]:
-        """Returns the function, and how many statements it has; `is_told`: it receives the mask `on`."""
+    def text(self, is_told: bool) -> str:
+        """Returns the function; `is_told`: it receives the mask `on`."""
         lines = self.lines()
         whole = "\n".join(lines)
         inputs, outputs = (
             [part for part in parts if part.size] for parts in (self.function.inputs, self.function.outputs)
         )
         given = ["M on"] if is_told else []
-        given += [f"const {letter(part.is_mask)} {part.name}[{part.size}]" for part in inputs]
-        found = [f"{letter(part.is_mask)} {part.name}[{part.size}]" for part in outputs]
+        given += [f"const {part.array()}" for part in inputs]
+        found = [part.array() for part in outputs]
         names = [*(["on"] if is_told else []), *(part.name for part in inputs)]
         lines += [f"    (void){name};" for name in names if not re.search(rf"\b{name}\b", whole)]
         head = f"static void {self.function.name}({', '.join([*given, *found])})"
-        return "\n".join(map(folded, [head, "{", *lines, "}", ""])), len(lines)
+        return "\n".join(map(folded, [head, "{", *lines, "}", ""]))
 
     def lines(self) -> list[str]:
         """Returns the statements that fill the outputs."""
@@ -135,7 +127,7 @@ class Body:
         )
         if each.operation.endswith("_at"):
             return [f"V t{each.index} = ALL({self.literal(0.0)});", f"V of_t{each.index} = {start};"]
-        return [f"{letter(each.kind == MASK)} t{each.index} = {start};"]
+        return [f"{LETTER[each.kind]} t{each.index} = {start};"]
 
     def joins(self, each: Expression) -> list[str]:
         """Returns the statements that add one more entry to a reduction."""
@@ -158,7 +150,7 @@ class Body:
             return textwrap.indent("\n".join(self.call(each)), "    " * depth)
         if each.operation in LOOPS:
             return textwrap.indent("\n".join(self.repeat(each)), "    " * depth)
-        start = f"{'    ' * depth}const {letter(each.kind == MASK)} t{each.index} = "
+        start = f"{'    ' * depth}const {LETTER[each.kind]} t{each.index} = "
         if each.operation == "table":
             return f"{start}ALL(table{each.arguments[0]}[i]);"
         if each.operation == "lookup":
@@ -221,15 +213,15 @@ class Body:
         for y in it.state:
             own, values = values[: y.size], values[y.size :]
             if y.size:
-                texts = [self.operand(v, kind_in(y)) for v in own]
-                lines.append(f"{letter(y.is_mask)} {start}{y.name}[{y.size}] = {{{', '.join(texts)}}};")
+                texts = [self.operand(v, y.values) for v in own]
+                lines.append(f"{y.array(start)} = {{{', '.join(texts)}}};")
         return lines
 
     def taken(self, y: Part, start: str) -> list[str]:
         """Returns the statements that set the next state in the columns that need it."""
         to, new = f"{start}{y.name}[i]", f"next_{y.name}[i]"
         if not self.called.single:
-            new = f"{'CHOOSE' if y.is_mask else 'SELECT'}({start}on, {new}, {to})"
+            new = f"{'CHOOSE' if y.values == MASK else 'SELECT'}({start}on, {new}, {to})"
         return [f"for (int i = 0; i < {y.size}; ++i) {{", f"    {to} = {new};", "}"]
 
     def told(self, on: Value | str) -> list[str]:
@@ -243,10 +235,10 @@ class Body:
         made, given = [], []
         for x in inputs:
             own, values = values[: x.size], values[x.size :]
-            texts = [self.operand(v, kind_in(x)) for v in own]
+            texts = [self.operand(v, x.values) for v in own]
             found = side_by_side(texts)
             if x.size and found is None:
-                made.append(f"const {letter(x.is_mask)} {start}{x.name}[{x.size}] = {{{', '.join(texts)}}};")
+                made.append(f"const {x.array(start)} = {{{', '.join(texts)}}};")
             given += [found or f"{start}{x.name}"] if x.size else []
         return made, given
 
@@ -290,12 +282,7 @@ def side_by_side(texts: Sequence[str]) -> str | None:
 
 def declared(start: str, parts: Sequence[Part]) -> list[str]:
     """Returns the declarations of results."""
-    return [f"{letter(y.is_mask)} {start}{y.name}[{y.size}];" for y in parts if y.size]
-
-
-def kind_in(part: Part) -> str:
-    """Returns the kind of the values of an argument or a result."""
-    return MASK if part.is_mask else NUMBER
+    return [f"{y.array(start)};" for y in parts if y.size]
 
 
 def indices(values: Iterable[Value]) -> set[int]:
@@ -315,11 +302,6 @@ def with_arguments(expressions: Sequence[Expression], wanted: set[int]) -> list[
         if each.index in wanted:
             wanted |= {a.index for a in each.arguments if isinstance(a, Expression)}
     return [each for each in expressions if each.index in wanted]
-
-
-def letter(is_mask: bool) -> str:
-    """Returns the type of a value in C."""
-    return "M" if is_mask else "V"
 
 
 def formula(operation: str, *operands: str) -> str:

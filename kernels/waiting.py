@@ -28,9 +28,9 @@ from collections.abc import Sequence
 
 from kernels.calls import ONCE
 from kernels.operations.expressions import MASK
-from kernels.parts import Part
+from kernels.parts import LETTER, Part
 from kernels.segments import Frame, Placed, Records, Waits, has_waits
-from kernels.text import LOOPS, Body, declared, letter
+from kernels.text import LOOPS, Body, declared
 
 INCLUDE = '#include "waiting.h"'  # `kernels.compiled.sources` replaces it, so that recordings do not hold it
 CHUNK = 2048  # columns that are processed together
@@ -104,7 +104,7 @@ def refilled(waits: Waits) -> list[str]:
         "    int turns[W] = {0};",
         "    int next = 0;",
         "    M on = NO;",
-        *(f"    {letter(x.is_mask)} {x.name}[{x.size}] = {{{{0}}}};" for x in callee.inputs if x.size),
+        *(f"    {x.array()} = {{{{0}}}};" for x in callee.inputs if x.size),
         "    for (;;) {",
         f"        {LANES}",
         "            if (!on[lane] && next < count) {",
@@ -146,9 +146,7 @@ def segment(frame: Frame, s: int) -> list[str]:
         wants = body.operand(frame.loops[s].it.alive, MASK)
     elif frame.owner:
         texts = [(kind, body.operand(value, kind)) for _, value, kind in body.stores]
-        lines += [
-            f"        const {letter(k == MASK)} next_{j} = {text};" for j, (k, text) in enumerate(texts)
-        ]
+        lines += [f"        const {LETTER[k]} next_{j} = {text};" for j, (k, text) in enumerate(texts)]
         lines += store([(place, f"next_{j}") for j, (_, place) in enumerate(frame.owner.results)])
         wants = "NO" if frame.owner.it.most == ONCE else f"next_{len(texts) - 1}"
     else:
@@ -186,7 +184,7 @@ def loads(frame: Frame, s: int) -> list[str]:
     wanted = {text.split("[")[0] for text, _ in texts if "[" in text}
     lines += [line for line in arrays if line.split()[1].split("[")[0] in wanted]
     for text, each in texts:
-        start = "" if "[" in text else f"const {letter(each.kind == MASK)} "
+        start = "" if "[" in text else f"const {LETTER[each.kind]} "
         lines.append(f"{start}{text} = {load(frame.places[each.index])};")
     return [f"        {line}" for line in lines]
 
@@ -222,7 +220,7 @@ def scattered(frame: Frame, parts: Sequence[Part]) -> list[str]:
     lines = []
     for i, y in enumerate(every(frame.body.function.outputs)):
         for k in range(y.size) if y in parts else ():
-            value = f"{y.name}[{k}][lane]" + (" != 0" if y.is_mask else "")
+            value = f"{y.name}[{k}][lane]" + (" != 0" if y.values == MASK else "")
             at = f"(({MEMORY[y.kind]} *)work->out[{i}])[{k} * work->out_step[{i}] + at[lane]->column]"
             lines.append(f"            {at} = {value};")
     return [f"        {LANES}", *lines, "        }"]
@@ -261,7 +259,7 @@ def straight(frame: Frame) -> list[str]:
                 "    }",
                 *(f"    {line}" for line in body.begun(start, frame.loops[s].it)),
             ]
-    given = [f"const {letter(x.is_mask)} {x.name}[{x.size}]" for x in every(body.function.inputs)]
+    given = [f"const {x.array()}" for x in every(body.function.inputs)]
     head = f"static void straight({', '.join(['struct work *work', 'long column', 'long lanes', 'M on', *given])})"
     return [head, "{", "    struct record *at[W];", "    M wants;", *lines, "}", ""]
 

@@ -117,12 +117,12 @@ def wants_compile(choice: str, calls: float, worth: int = WORTH_COMPILING) -> bo
 def finds_compiler() -> bool:
     """Tells whether there is a C compiler; if there is none, prints this once."""
     try:
-        from kernels.build import NoCompilerError, compiler
+        from kernels.build import NoCompilerError, compilers
     except ModuleNotFoundError:
         print("kernels/ is not here; uncompiled, this is slower", file=sys.stderr)
         return False
     try:
-        compiler()
+        compilers()
     except NoCompilerError as error:
         print(f"{error}; uncompiled, this is slower", file=sys.stderr)
         return False
