@@ -83,8 +83,8 @@ def printed(
         parts[each.function.name] = f"{comment}\n{each.text(is_told=not single)}"
     return Printed(
         name=name,
-        inputs=[part for part in found.inputs if part.size],
-        outputs=[part for part in found.outputs if part.size],
+        inputs=own.inputs,
+        outputs=own.outputs,
         real=called.real,
         text=text,
         shapes=[torch.Size(part.shape) for part in found.outputs],

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from itertools import count
 
 from kernels.calls import result
-from kernels.operations.expressions import MASK, Expression, Value
+from kernels.operations.expressions import MASK, NUMBER, Expression, Value
 from kernels.parts import Part
 from kernels.text import LOOPS, Body
 
@@ -21,14 +21,13 @@ class Records:
     """Allocates the places of values in a record, and numbers of segments and loops."""
 
     def __init__(self) -> None:
-        self.sizes = {"n": 0, "m": 0}
+        self.sizes = {NUMBER: 0, MASK: 0}
         self.segments, self.loops = count(), count()
 
     def place(self, kind: str) -> str:
         """Returns a new place for a value of this kind."""
-        which = "m" if kind == MASK else "n"
-        self.sizes[which] += 1
-        return f"{which}[{self.sizes[which] - 1}]"
+        self.sizes[kind] += 1
+        return f"{kind[0]}[{self.sizes[kind] - 1}]"
 
 
 class Waits:
@@ -37,6 +36,7 @@ class Waits:
     Attributes:
         it: the loop (`kernels.text.Repeated`); number: of its C function.
         state, given: places of its body's arguments, by part; results replace the state.
+        arguments, results: elements of the body's arguments and of the next state, each with its place.
         body: its segments; None: it is one function.
     """
 
@@ -45,18 +45,11 @@ class Waits:
         self.state = [[frame.records.place(y.values) for _ in range(y.size)] for y in self.it.state]
         values = iter(self.it.values)
         self.given = [[frame.kept(next(values), x.values) for _ in range(x.size)] for x in self.it.given]
+        passed = self.state if self.it.passed else []
+        self.arguments = placed(self.it.callee.inputs, [*passed, *self.given])
+        self.results = placed(self.it.state, self.state)
         body = Body(self.it.callee, frame.body.called)
-        self.body = Frame(frame.records, body, self) if has_waits(body) else None
-
-    @property
-    def arguments(self) -> list[tuple[str, str]]:
-        """Returns elements of the body's arguments, and their places."""
-        return placed(self.it.callee.inputs, [*(self.state if self.it.passed else []), *self.given])
-
-    @property
-    def results(self) -> list[tuple[str, str]]:
-        """Returns elements of the next state, and their places."""
-        return placed(self.it.state, self.state)
+        self.body = Frame(frame.records, body, self) if body.waits else None
 
     def begin(self, body: Body) -> list[Placed]:
         """Returns what a column stores when it comes to the loop: the initial state, and literal arguments."""
@@ -86,29 +79,22 @@ class Frame:
             raise NotImplementedError(
                 "an axis that is looped over, in a function with loops that wait, cannot be printed as C"
             )
-        self.waits = [each for each in body.needed if each.operation == "waiting"]
+        self.waits = body.waits
         self.segment, self.last = segments(body.needed, self.waits), len(self.waits)
-        self.places, self.literals, self.given = (
-            self.arguments(),
-            dict[tuple[str, str], str](),
-            dict[int, int](),
-        )
+        at = dict(owner.arguments) if owner else {}
+        inputs = [each for each in body.needed if each.operation == "input"]
+        self.places = {each.index: at[each.arguments[0]] for each in inputs if each.arguments[0] in at}
+        self.literals, self.given = dict[tuple[str, str], str](), dict[int, int]()
         self.loops: list[Waits] = []
         for i, each in enumerate(self.waits):
             self.given |= {v.index: i for v in body.repeated(each).values if isinstance(v, Expression)}
             self.loops.append(Waits(self, each))
             self.places |= self.results(each, self.loops[i])
-        self.read = self.reads()
+        self.read = {each.index: s for s in range(self.last + 1) for each in self.used(s)}
         for each in body.needed:
             if is_value(each) and self.read.get(each.index, -1) > self.segment[each.index]:
                 self.kept(each, each.kind)
         self.numbers = [next(records.segments) for _ in range(self.last + 1)]
-
-    def arguments(self) -> dict[int, str]:
-        """Returns the places of arguments of a loop's body."""
-        at = dict(self.owner.arguments) if self.owner else {}
-        inputs = [each for each in self.body.needed if each.operation == "input"]
-        return {each.index: at[each.arguments[0]] for each in inputs if each.arguments[0] in at}
 
     def results(self, each: Expression, loop: Waits) -> dict[int, str]:
         """Returns the places of a loop's results."""
@@ -140,10 +126,6 @@ class Frame:
             values += [value for place, value, _ in self.body.stores if not self.is_early(place)]
         return [each for each in values if isinstance(each, Expression)]
 
-    def reads(self) -> dict[int, int]:
-        """Returns by expression the last segment that uses it."""
-        return {each.index: s for s in range(self.last + 1) for each in self.used(s)}
-
     def is_early(self, place: str) -> bool:
         """Checks whether a result of a batch, of which `place` is an element, is known before the first loop."""
         own = [value for at, value, _ in self.body.stores if at.split("[")[0] == place.split("[")[0]]
@@ -153,7 +135,7 @@ class Frame:
     def loaded(self, s: int) -> list[Expression]:
         """Returns the values that a segment reads from records."""
         found = {each.index: each for each in self.used(s) if self.is_loaded(each, s)}
-        return [found[i] for i in sorted(found)]
+        return [each for _, each in sorted(found.items())]
 
     def is_loaded(self, each: Expression, s: int) -> bool:
         """Checks whether a segment reads a value from records instead of computing it."""
@@ -162,25 +144,16 @@ class Frame:
         return is_value(each) and (self.segment[each.index] < s or is_argument or is_result)
 
     def stored(self, s: int) -> list[Placed]:
-        """Returns what a segment stores: its values that are read later, and what the loop after it begins with."""
-        own = [
-            each for each in self.body.needed if each.index in self.places and self.segment[each.index] == s
-        ]
+        """Returns what a segment stores for the loop after it: values that are read later, and what the loop begins with."""
+        own = [e for e in self.body.needed if e.index in self.places and self.segment[e.index] == s]
         found = [(self.places[e.index], self.body.operand(e)) for e in own if not self.is_loaded(e, s)]
-        return found + (self.loops[s].begin(self.body) if s < self.last else [])
+        return found + self.loops[s].begin(self.body)
 
     def live(self, s: int) -> list[Placed]:
         """Returns what a column stores when it leaves `straight` for the loop after segment s."""
-        own = [
-            each for each in self.body.needed if each.index in self.places and self.segment[each.index] <= s
-        ]
+        own = [e for e in self.body.needed if e.index in self.places and self.segment[e.index] <= s]
         later = [e for e in own if self.read.get(e.index, -1) > s or self.given.get(e.index, -1) >= s]
         return [(self.places[e.index], self.body.operand(e)) for e in later] + self.loops[s].begin(self.body)
-
-
-def has_waits(body: Body) -> bool:
-    """Checks whether some of a function's loops wait."""
-    return any(each.operation == "waiting" for each in body.needed)
 
 
 def segments(needed: Sequence[Expression], waits: Sequence[Expression]) -> dict[int, int]:

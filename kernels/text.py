@@ -47,12 +47,16 @@ class Body:
     Values that vary along the long axis are computed in loops over it, one for each stage of reductions.
 
     Attributes:
+        inputs, outputs: arguments and results that have components.
         stores: what the function fills: place, value, kind; needed: all expressions of which these are made.
-        asks: whether it calls functions that take the mask `on`.
+        waits: the loops that wait; asks: whether it calls functions that take the mask `on`.
     """
 
     def __init__(self, function: Recorded, called: Called) -> None:
         self.function, self.called, self.long = function, called, function.long
+        self.inputs, self.outputs = (
+            [part for part in parts if part.size] for parts in (function.inputs, function.outputs)
+        )
         self.tables = list(function.program.tables.values())
         self.stores: list[tuple[str, Value, str]] = []
         for part, array in zip(function.outputs, function.values, strict=True):
@@ -63,19 +67,17 @@ class Body:
             ]
         wanted = indices(value for _, value, _ in self.stores)
         self.needed = with_arguments(function.program.expressions, wanted)
+        self.waits = [each for each in self.needed if each.operation == "waiting"]
         self.asks = not called.single and any(each.operation in (*LOOPS, "call") for each in self.needed)
 
     def text(self, is_told: bool) -> str:
         """Returns the function; `is_told`: it receives the mask `on`."""
         lines = self.lines()
         whole = "\n".join(lines)
-        inputs, outputs = (
-            [part for part in parts if part.size] for parts in (self.function.inputs, self.function.outputs)
-        )
         given = ["M on"] if is_told else []
-        given += [f"const {part.array()}" for part in inputs]
-        found = [part.array() for part in outputs]
-        names = [*(["on"] if is_told else []), *(part.name for part in inputs)]
+        given += [f"const {part.array()}" for part in self.inputs]
+        found = [part.array() for part in self.outputs]
+        names = [*(["on"] if is_told else []), *(part.name for part in self.inputs)]
         lines += [f"    (void){name};" for name in names if not re.search(rf"\b{name}\b", whole)]
         head = f"static void {self.function.name}({', '.join([*given, *found])})"
         return "\n".join(map(folded, [head, "{", *lines, "}", ""]))

@@ -27,14 +27,15 @@ number of lanes.
 from collections.abc import Sequence
 
 from kernels.calls import ONCE
-from kernels.operations.expressions import MASK
+from kernels.operations.expressions import MASK, NUMBER
 from kernels.parts import LETTER, Part
-from kernels.segments import Frame, Placed, Records, Waits, has_waits
+from kernels.segments import Frame, Placed, Records, Waits
 from kernels.text import LOOPS, Body, declared
 
 INCLUDE = '#include "waiting.h"'  # `kernels.compiled.sources` replaces it, so that recordings do not hold it
 CHUNK = 2048  # columns that are processed together
 MEMORY = {"double": "double", "bool": "uint8_t", "long": "int64_t", "float": "float"}
+AT = {"n": "NUMBERS", "m": "TRUTHS"}  # parts of a record by the beginning of a place in it
 LANES = "for (int lane = 0; lane < W; ++lane) {"
 RECORDS = [
     "    for (int first = 0; first < count; first += W) {",
@@ -46,11 +47,12 @@ RECORDS = [
 
 def waiting(body: Body) -> str:
     """Returns the C of a function for a batch, NAME_batch as in `kernels.compiled.batch`; "": no loop waits."""
-    if not has_waits(body):
+    if not body.waits:
         return ""
     records = Records()
     frame = Frame(records, body)
-    sizes = {"NUMBERS": records.sizes["n"], "TRUTHS": records.sizes["m"], "LOOPS": frame.last, "CHUNK": CHUNK}
+    numbers, truths = records.sizes[NUMBER], records.sizes[MASK]
+    sizes = {"NUMBERS": numbers, "TRUTHS": truths, "LOOPS": frame.last, "CHUNK": CHUNK}
     lines = [*functions(frame), *straight(frame), *batch(frame)]
     return "\n".join([*(f"#define {name} {max(1, n)}" for name, n in sizes.items()), INCLUDE, *lines])
 
@@ -88,7 +90,7 @@ def once(waits: Waits) -> list[str]:
     return [
         *RECORDS,
         *(f"        {line}" for line in declared("", callee.inputs)),
-        *(f"        {element} = {load(place)};" for element, place in waits.arguments),
+        *(f"        {element} = {AT[place[0]]}_AT({place[2:-1]});" for element, place in waits.arguments),
         *(f"        {line}" for line in called(waits)),
         *store([(place, f"next_{element}") for element, place in waits.results]),
         "    }",
@@ -185,13 +187,8 @@ def loads(frame: Frame, s: int) -> list[str]:
     lines += [line for line in arrays if line.split()[1].split("[")[0] in wanted]
     for text, each in texts:
         start = "" if "[" in text else f"const {LETTER[each.kind]} "
-        lines.append(f"{start}{text} = {load(frame.places[each.index])};")
+        lines.append(f"{start}{text} = {AT[each.kind[0]]}_AT({frame.places[each.index][2:-1]});")
     return [f"        {line}" for line in lines]
-
-
-def load(place: str) -> str:
-    """Returns the expression that reads a place of W records."""
-    return f"{'TRUTHS' if place[0] == 'm' else 'NUMBERS'}_AT({place[2:-1]})"
 
 
 def store(kept: Sequence[Placed], wants: str = "") -> list[str]:
@@ -205,7 +202,7 @@ def store(kept: Sequence[Placed], wants: str = "") -> list[str]:
 
 def outputs(frame: Frame, early: bool) -> list[Part]:
     """Returns the results that are known before the first loop, or the others."""
-    return [y for y in frame.body.function.outputs if y.size and frame.is_early(y.name) == early]
+    return [y for y in frame.body.outputs if frame.is_early(y.name) == early]
 
 
 def filled(frame: Frame, parts: Sequence[Part]) -> list[str]:
@@ -218,7 +215,7 @@ def filled(frame: Frame, parts: Sequence[Part]) -> list[str]:
 def scattered(frame: Frame, parts: Sequence[Part]) -> list[str]:
     """Returns the statements that store results of the columns of W records."""
     lines = []
-    for i, y in enumerate(every(frame.body.function.outputs)):
+    for i, y in enumerate(frame.body.outputs):
         for k in range(y.size) if y in parts else ():
             value = f"{y.name}[{k}][lane]" + (" != 0" if y.values == MASK else "")
             at = f"(({MEMORY[y.kind]} *)work->out[{i}])[{k} * work->out_step[{i}] + at[lane]->column]"
@@ -226,25 +223,17 @@ def scattered(frame: Frame, parts: Sequence[Part]) -> list[str]:
     return [f"        {LANES}", *lines, "        }"]
 
 
-def every(parts: Sequence[Part]) -> list[Part]:
-    """Returns the parts that have components."""
-    return [part for part in parts if part.size]
-
-
 def straight(frame: Frame) -> list[str]:
     """Returns `straight`: W columns go through all segments; a column that needs a loop leaves."""
     lines, body = list[str](), frame.body
-    index = {y.name: i for i, y in enumerate(every(body.function.outputs))}
     for s in range(frame.last + 1):
         lines += [line[4:] for line in computed(frame, s)]
-        parts = (
-            outputs(frame, early=True) if s == 0 else outputs(frame, early=False) if s == frame.last else []
-        )
+        parts = outputs(frame, early=s == 0) if s in (0, frame.last) else []
         lines += [f"    {line}" for line in filled(frame, parts)]
-        lines += [
-            f"    {moved(y, f'work->out[{index[y.name]}]', f'work->out_step[{index[y.name]}]')}"
-            for y in parts
-        ]
+        for y in parts:
+            i = body.outputs.index(y)
+            to = f"work->out[{i}], k * work->out_step[{i}] + column, lanes"
+            lines.append(f"    for (int k = 0; k < {y.size}; ++k) {{ store_{y.kind}({to}, {y.name}[k]); }}")
         if s < frame.last:
             start = f"t{frame.waits[s].index}_"
             lines += [
@@ -259,28 +248,21 @@ def straight(frame: Frame) -> list[str]:
                 "    }",
                 *(f"    {line}" for line in body.begun(start, frame.loops[s].it)),
             ]
-    given = [f"const {x.array()}" for x in every(body.function.inputs)]
+    given = [f"const {x.array()}" for x in body.inputs]
     head = f"static void straight({', '.join(['struct work *work', 'long column', 'long lanes', 'M on', *given])})"
     return [head, "{", "    struct record *at[W];", "    M wants;", *lines, "}", ""]
 
 
-def moved(part: Part, to: str, step: str) -> str:
-    """Returns the statement that stores a result of W neighbouring columns."""
-    call = f"store_{part.kind}({to}, k * {step} + column, lanes, {part.name}[k]);"
-    return f"for (int k = 0; k < {part.size}; ++k) {{ {call} }}"
-
-
 def batch(frame: Frame) -> list[str]:
     """Returns the function of a range of columns; in C it returns 1 if memory is missing."""
-    function, number = frame.body.function, frame.numbers[0]
-    inputs = every(function.inputs)
+    inputs, number = frame.body.inputs, frame.numbers[0]
     loads = [
         f"for (int k = 0; k < {x.size}; ++k) {{ "
         f"{x.name}[k] = load_{x.kind}(in[{i}], k * in_step[{i}] + column, lanes); }}"
         for i, x in enumerate(inputs)
     ]
     return [
-        f"long {function.name}_batch(long first, long last, const void *const *in, const long *in_step,",
+        f"long {frame.body.function.name}_batch(long first, long last, const void *const *in, const long *in_step,",
         "    void *const *out, const long *out_step, long times)",
         "{",
         "    struct work *const work = malloc(sizeof *work);",
