@@ -10,7 +10,6 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +22,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from columns import ACTIVE, tensors_in
 from kernels.operations.aten import Operations
-from kernels.operations.expressions import MASK, Program, Value, kind_of
+from kernels.operations.expressions import Program, Value
 from kernels.operations.shapes import filled
 from kernels.parts import TYPES, Called, Part, element
 
@@ -172,7 +171,7 @@ class Recorder(TorchDispatchMode):
         if name == "lift_fresh":  # a constant that the function makes for itself
             self.put(result, given[0] if given[0].flags.writeable else given[0].copy(), fixed)
         elif name in self.operations.views:
-            self.view(own, args[0], self.viewed(name, given, options, own, fixed))
+            self.view(name, args[0], own, given, options, fixed)
         elif name in OF_SHAPE or fixed:
             for tensor in own:
                 self.write(tensor, self.constant(tensor), name, fixed=True)
@@ -200,19 +199,22 @@ class Recorder(TorchDispatchMode):
             self.written.add(memory(tensor))
         own[...] = array
 
-    def viewed(
-        self, name: str, given: Sequence[Any], options: dict[str, Any], own: Sequence[Tensor], fixed: bool
-    ) -> Any:
-        """Returns the values of views; for constants, copies are enough."""
+    def view(
+        self,
+        name: str,
+        of: Tensor,
+        results: Sequence[Tensor],
+        given: Sequence[Any],
+        options: dict[str, Any],
+        fixed: bool,
+    ) -> None:
+        """Sets the values of views of a tensor; for constants, copies are enough."""
         try:
-            return self.operations.call(name, *given, **options)
+            found = self.operations.call(name, *given, **options)
         except NotImplementedError:
             if not fixed:
                 raise
-            return [self.constant(tensor) for tensor in own]
-
-    def view(self, results: Sequence[Tensor], of: Tensor, found: Any) -> None:
-        """Sets the values of views of a tensor."""
+            found = [self.constant(tensor) for tensor in results]
         for tensor, array in zip(results, found if isinstance(found, list) else [found], strict=True):
             self.put(tensor, array, self.known[id(of)].fixed)
             if array.size and not np.may_share_memory(array, self.values(of)):
@@ -227,7 +229,7 @@ class Recorder(TorchDispatchMode):
         elif dtype == torch.float32 and p.real == "double":
             as_one = p.single
         elif dtype in INTEGERS and name in ("_to_copy", "to", "copy_"):
-            as_one = partial(whole, p)
+            as_one = p.whole
         else:
             as_one = p.number
             self.is_double |= dtype == torch.float64
@@ -291,11 +293,6 @@ def decompositions() -> Mapping[Any, Callable[..., Any]]:
     from torch.export import default_decompositions
 
     return default_decompositions()
-
-
-def whole(p: Program, value: Value) -> Value:
-    """Returns a number without its fraction."""
-    return p.number(value) if kind_of(value) == MASK else p.call("trunc", value)
 
 
 def check_type(dtype: torch.dtype) -> None:

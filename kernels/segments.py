@@ -144,7 +144,7 @@ class Frame:
         return is_value(each) and (self.segment[each.index] < s or is_argument or is_result)
 
     def stored(self, s: int) -> list[Placed]:
-        """Returns what a segment stores for the loop after it: values that are read later, and what the loop begins with."""
+        """Returns what a segment stores: values that are read later, and what the loop after it begins with."""
         own = [e for e in self.body.needed if e.index in self.places and self.segment[e.index] == s]
         found = [(self.places[e.index], self.body.operand(e)) for e in own if not self.is_loaded(e, s)]
         return found + self.loops[s].begin(self.body)

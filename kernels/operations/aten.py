@@ -45,11 +45,7 @@ class Operations:
             raise NotImplementedError("")
         try:
             return self.by_name[name](*arguments, **options)
-        except (
-            TypeError,
-            ValueError,
-            IndexError,
-        ) as error:  # for unknown options, or along the long axis
+        except (TypeError, ValueError, IndexError) as error:  # for unknown options, or along the long axis
             raise NotImplementedError(f"with these arguments ({error})") from error
 
 

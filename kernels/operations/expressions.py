@@ -14,6 +14,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -57,6 +58,12 @@ def of_numpy(name: str) -> Callable[..., float]:
     return run
 
 
+def rounded_to_single(a: float) -> float:
+    """Returns a number in single precision."""
+    with np.errstate(all="ignore"):
+        return float(np.float32(a))
+
+
 # results of operations on literals, as C computes them
 FOLDED: dict[str, Callable[..., Value]] = {
     "add": lambda a, b: a + b,
@@ -69,7 +76,7 @@ FOLDED: dict[str, Callable[..., Value]] = {
     "or": lambda a, b: a or b,
     "not": lambda a: not a,
     "fabs": abs,
-    "single": lambda a: rounded_to_single(a),
+    "single": rounded_to_single,
     "erf": math.erf,
     "erfc": math.erfc,
     "asinh": of_numpy("arcsinh"),
@@ -109,6 +116,8 @@ class Program:
 
     def __init__(self, real: str = "double", is_one: bool = False) -> None:
         self.real, self.is_one = real, is_one
+        self.min, self.max = partial(self.extreme, "min"), partial(self.extreme, "max")
+        self.and_, self.or_ = partial(self.connected, "and"), partial(self.connected, "or")
         self.expressions: list[Expression] = []
         self.known: dict[tuple[object, ...], Expression] = {}
         self.tables: dict[bytes, tuple[float, ...]] = {}
@@ -248,15 +257,9 @@ class Program:
         square = self.mul(half, half)
         return self.mul(square, a) if exponent % 2 else square
 
-    def min(self, a: Value, b: Value) -> Value:
-        """Returns the smaller one; NaN if either is NaN."""
-        return self.extreme("min", self.number(a), self.number(b))
-
-    def max(self, a: Value, b: Value) -> Value:
-        """Returns the larger one; NaN if either is NaN."""
-        return self.extreme("max", self.number(a), self.number(b))
-
-    def extreme(self, operation: str, a: Expression | float, b: Expression | float) -> Value:
+    def extreme(self, operation: str, a: Value, b: Value) -> Value:
+        """Returns the smaller one ("min") or the larger one ("max"); NaN if either is NaN."""
+        a, b = self.number(a), self.number(b)
         if isinstance(a, Expression) and isinstance(b, Expression):
             return a if a is b else self.make(operation, a, b)
         if isinstance(b, Expression):
@@ -267,6 +270,10 @@ class Program:
             return b if math.isnan(b) else a
         # with one literal no test for NaN is needed: NaN fails the comparison, and a is taken
         return self.make(f"{operation}_literal", a, b)
+
+    def whole(self, a: Value) -> Value:
+        """Returns a number without its fraction."""
+        return self.number(a) if kind_of(a) == MASK else self.call("trunc", a)
 
     def single(self, a: Value) -> Value:
         """Returns a number rounded to single precision, as every operation on float32 does."""
@@ -284,11 +291,9 @@ class Program:
 
     def is_single(self, a: Value) -> bool:
         """Checks whether a number is known to be one of single precision."""
-        return (
-            a.index in self.singles
-            if isinstance(a, Expression)
-            else identity(a) == identity(rounded_to_single(a))
-        )
+        if isinstance(a, Expression):
+            return a.index in self.singles
+        return identity(a) == identity(rounded_to_single(a))
 
     # truth values
 
@@ -315,18 +320,12 @@ class Program:
             return a.arguments[0]
         return self.apply("not", a, kind=MASK)
 
-    def and_(self, a: Value, b: Value) -> Value:
-        return self.connected("and", a, b, neutral=True)
-
-    def or_(self, a: Value, b: Value) -> Value:
-        return self.connected("or", a, b, neutral=False)
-
-    def connected(self, operation: str, a: Value, b: Value, neutral: bool) -> Value:
-        """Returns two truth values connected; a neutral one leaves the other as it is."""
+    def connected(self, operation: str, a: Value, b: Value) -> Value:
+        """Returns a and b, or a or b."""
         a, b = self.mask(a), self.mask(b)
         for one, other in ((a, b), (b, a)):
             if not isinstance(one, Expression):
-                return other if one == neutral else one
+                return other if one == (operation == "and") else one
         return a if a is b else self.apply(operation, a, b, kind=MASK)
 
     def select(self, condition: Value, a: Value, b: Value) -> Value:
@@ -358,12 +357,6 @@ class Program:
         return self.make(operation, entry, kind=kind, varies=False, stage=a.stage + 1)
 
 
-def rounded_to_single(a: float) -> float:
-    """Returns a number in single precision."""
-    with np.errstate(all="ignore"):
-        return float(np.float32(a))
-
-
 def kind_of(a: Value) -> str:
     """Returns NUMBER or MASK."""
     return a.kind if isinstance(a, Expression) else MASK if isinstance(a, bool | np.bool_) else NUMBER
@@ -380,21 +373,15 @@ def identity(a: "Value | str") -> tuple[int, object]:
 
 def evenly_apart(entries: Sequence[Value]) -> tuple[str, ...]:
     """Returns the array's name, first index, spacing and count if inputs lie evenly apart in it, else ()."""
-    found = [ELEMENT.fullmatch(e.arguments[0]) if is_input(e) else None for e in entries]
-    places = [int(each[2]) for each in found if each]
-    apart = places[1] - places[0] if len(places) == len(entries) > 1 else 0
-    if (
-        apart < 1
-        or places != list(range(places[0], places[-1] + 1, apart))
-        or len({e[1] for e in found if e}) > 1
-    ):
+    inputs = [e for e in entries if isinstance(e, Expression) and e.operation == "input" and not e.varies]
+    found = [match for e in inputs if (match := ELEMENT.fullmatch(e.arguments[0]))]
+    places = [int(each[2]) for each in found]
+    if len(places) < max(2, len(entries)) or len({each[1] for each in found}) > 1:
         return ()
-    return found[0][1], str(places[0]), str(apart), str(len(places))  # type: ignore[index]
-
-
-def is_input(value: Value) -> TypeGuard[Expression]:
-    """Checks whether a value is an input that is the same along the long axis."""
-    return isinstance(value, Expression) and value.operation == "input" and not value.varies
+    first, apart = places[0], places[1] - places[0]
+    if apart < 1 or places != list(range(first, places[-1] + 1, apart)):
+        return ()
+    return found[0][1], str(first), str(apart), str(len(places))
 
 
 def is_literal(a: Value, value: float) -> bool:

@@ -42,11 +42,7 @@ class Reductions:
             "argmin": lambda *given: self.first("least", *given)[1],
             "argmax": lambda *given: self.first("most", *given)[1],
             "linalg_vector_norm": self.norm,
-            "logsumexp": self.logsumexp,
-            "linalg_cross": self.cross,
             **{name: self.product for name in ("mm", "bmm")},
-            "mv": lambda a, b: self.product(a, b[:, None])[..., 0],
-            "dot": lambda a, b: self.sum(self.call("mul", a, b)),
             **{name: self.added_product for name in ("addmm", "baddbmm")},
         }  # fmt: skip
 
@@ -78,12 +74,9 @@ class Reductions:
 
     def mean(self, x: ndarray, dim: Dims = None, keepdim: bool = False) -> ndarray:
         """Returns the mean of the entries along axes."""
-        return self.call("div", self.by_name["sum"](x, dim, keepdim), self.count(dim))
-
-    def count(self, dim: Dims) -> float:
-        """Returns how many entries there are along axes."""
         dims = [dim] if isinstance(dim, int) else dim or range(len(self.axes.lengths))
-        return float(math.prod(self.axes.lengths[i] for i in dims))
+        count = float(math.prod(self.axes.lengths[i] for i in dims))
+        return self.call("div", self.by_name["sum"](x, dim, keepdim), count)
 
     def norm(self, x: ndarray, order: float = 2, dim: Dims = None, keepdim: bool = False) -> ndarray:
         """Returns the norm of vectors along axes: (sum |x|^order)^(1 / order), and its limits."""
@@ -92,20 +85,9 @@ class Reductions:
             return (self.most if order > 0.0 else self.least)(size, dim, keepdim)
         if order == 0.0:
             return self.sum(self.call("positive", self.call("ne", x, 0.0)), dim, keepdim)
-        if order == 1.0:
-            return self.sum(size, dim, keepdim)
         if order == 2.0:
             return self.call("sqrt", self.sum(self.call("mul", x, x), dim, keepdim))
         return self.call("pow", self.sum(self.call("pow", size, order), dim, keepdim), 1.0 / order)
-
-    def logsumexp(self, x: ndarray, dim: Dims, keepdim: bool = False) -> ndarray:
-        """Returns log sum exp x along axes."""
-        most = self.most(x, dim, True)
-        most = self.call("where", self.call("isinf", most), 0.0, most)
-        total = self.sum(self.call("exp", self.call("sub", x, most)), dim, True)
-        found = self.call("add", self.call("log", total), most)
-        dims = (dim,) if isinstance(dim, int) else tuple(dim)
-        return found if keepdim else found.squeeze(dims)
 
     def first(self, kind: str, x: ndarray, dim: int, keepdim: bool = False) -> tuple[ndarray, ...]:
         """Returns the first least or most entry along an axis, and its index; NaN comes before all other entries."""
@@ -120,25 +102,14 @@ class Reductions:
         for place in np.ndindex(entries.shape[1:]):
             value, at = entries[(0, *place)], 0.0
             for i, other in enumerate(entries[(slice(1, None), *place)], 1):
-                stays = (
-                    p.le(value, other) if kind == "least" else p.le(other, value)
-                )  # false if one of them is NaN
+                # false if one of them is NaN
+                stays = p.le(value, other) if kind == "least" else p.le(other, value)
                 better = p.and_(p.not_(stays), p.eq(value, value))
                 value, at = p.select(better, other, value), p.select(better, float(i), at)
             best[place], index[place] = value, at
         if keepdim:
             return np.expand_dims(best, dim), np.expand_dims(index, dim)
         return best, index
-
-    def cross(self, a: ndarray, b: ndarray, dim: int = -1) -> ndarray:
-        """Returns a x b along an axis of three."""
-        axis = self.axes.written(dim)
-        a, b = (np.moveaxis(each, axis, 0) for each in np.broadcast_arrays(a, b))
-        parts = [
-            self.call("sub", self.call("mul", a[i], b[j]), self.call("mul", a[j], b[i]))
-            for i, j in ((1, 2), (2, 0), (0, 1))
-        ]
-        return np.stack(parts, axis)
 
     def product(self, a: ndarray, b: ndarray) -> ndarray:
         """Returns a @ b (..., M, K) and (..., K, N), each inner product added up in order, or over the long axis."""

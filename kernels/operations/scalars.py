@@ -44,7 +44,6 @@ def arithmetic(p: Program) -> dict[str, Scalar]:
     return {
         "add": add,
         "sub": lambda a, b, alpha=1: add(a, b, -alpha),
-        "rsub": lambda a, b, alpha=1: add(b, a, -alpha),
         "mul": p.mul,
         "div": divided,
         "floor_divide": partial(floor_divided, p),
@@ -66,13 +65,12 @@ def comparisons(p: Program) -> dict[str, Scalar]:
 
         return run
 
-    def xor(a: Value, b: Value) -> Value:
-        return p.select(p.mask(a), p.not_(b), p.mask(b))
-
-    def finite(a: Value) -> Value:
-        return p.lt(p.call("fabs", a), math.inf)
-
-    logical: dict[str, Scalar] = {"and": p.and_, "or": p.or_, "not": p.not_, "xor": xor}
+    logical: dict[str, Scalar] = {
+        "and": p.and_,
+        "or": p.or_,
+        "not": p.not_,
+        "xor": lambda a, b: p.select(p.mask(a), p.not_(b), p.mask(b)),
+    }
     return {
         "lt": p.lt,
         "le": p.le,
@@ -84,15 +82,12 @@ def comparisons(p: Program) -> dict[str, Scalar]:
         **{f"bitwise_{name}": of_truths(f"bitwise_{name}", each) for name, each in logical.items()},
         "isnan": lambda a: p.not_(p.eq(a, a)),
         "isinf": lambda a: p.eq(p.call("fabs", a), math.inf),
-        "isfinite": finite,
+        "isfinite": lambda a: p.lt(p.call("fabs", a), math.inf),
     }
 
 
 def of_one(p: Program) -> dict[str, Scalar]:
     """Returns the functions of one number."""
-
-    def sign(a: Value) -> Value:
-        return p.sub(p.number(p.lt(0.0, a)), p.number(p.lt(a, 0.0)))
 
     return {
         "neg": p.neg,
@@ -100,8 +95,7 @@ def of_one(p: Program) -> dict[str, Scalar]:
         "abs": partial(p.call, "fabs"),
         "reciprocal": partial(p.div, 1.0),
         "rsqrt": lambda a: p.div(1.0, p.call("sqrt", a)),
-        "sign": sign,
-        "sgn": sign,
+        "sign": lambda a: p.sub(p.number(p.lt(0.0, a)), p.number(p.lt(a, 0.0))),
         "round": partial(p.call, "rint"),
         "sigmoid": lambda a: p.div(1.0, p.add(1.0, p.call("exp", p.neg(a)))),
         "relu": lambda a: p.max(a, 0.0),
@@ -120,7 +114,6 @@ def of_several(p: Program) -> dict[str, Scalar]:
         "minimum": p.min,
         "maximum": p.max,
         "where": p.select,
-        "masked_fill": lambda x, mask, value: p.select(mask, value, x),
         **{name: clamp for name in ("clamp", "clamp_min")},
         "clamp_max": p.min,
     }
@@ -137,8 +130,8 @@ def floor_divided(p: Program, a: Value, b: Value) -> Value:
     """Returns a // b as in PyTorch: from the exact remainder, so that 1 // 0.1 is 9."""
     rest = p.call("fmod", a, b)
     whole = p.div(p.sub(a, rest), b)
-    whole = p.sub(whole, p.number(has_other_sign(p, rest, b)))
+    whole = p.sub(whole, has_other_sign(p, rest, b))
     down = p.call("floor", whole)
-    down = p.add(down, p.number(p.lt(0.5, p.sub(whole, down))))
+    down = p.add(down, p.lt(0.5, p.sub(whole, down)))
     down = p.select(p.eq(whole, 0.0), p.call("copysign", 0.0, p.div(a, b)), down)
     return p.select(p.eq(b, 0.0), p.div(a, b), down)

@@ -99,8 +99,6 @@ class Shapes:
             "zero": lambda x: np.full(x.shape, 0.0, dtype=object),
             "index": self.index,
             "index_select": lambda x, dim, index: x.take(whole(index), axes.written(dim)),
-            "index_fill": self.index_fill,
-            "index_copy": self.index_fill,
             "index_put": self.index_put,
             "gather": self.gather,
         }
@@ -154,15 +152,6 @@ class Shapes:
         return np.split(x, np.cumsum(sizes)[:-1], axis)
 
     # others
-
-    def index_fill(self, x: ndarray, dim: int, index: ndarray, value: Any) -> ndarray:
-        """Returns x with entries at known places along an axis replaced, by a value or an array of their shape."""
-        x = x.copy()
-        axis = self.axes.written(dim)
-        x[(*[slice(None)] * axis, whole(index))] = value
-        return x
-
-    # at indices
 
     def index(self, x: ndarray, indices: Sequence[Any]) -> ndarray:
         """Returns x[indices], one per axis from the first one on; None: all along that axis.
