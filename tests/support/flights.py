@@ -9,7 +9,7 @@ from numpy import ndarray
 from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
-from kernels.build import NoCompilerError, compiler
+from kernels.build import NoCompilerError, compilers
 from rta.fast.filter import batched, in_c
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
@@ -73,7 +73,7 @@ def way(name: str, checked: bool = True) -> SafetyFilter:
     made = SafetyFilter(C, RtaParameters(filter="checked" if checked else "paper"))
     if name == "C":
         try:
-            compiler()
+            compilers()
         except NoCompilerError:
             pytest.skip("no C compiler")
         return in_c(batched(made))
