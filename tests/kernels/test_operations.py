@@ -312,9 +312,8 @@ IN_PLACE: dict[str, Function] = {
     "views": written(by_views),
     "masks": written(lambda x, y: x.masked_fill_(x > y, 1.0).__setitem__(x < 0.0, -1.0)),
     "signs": written(lambda x, y: x[1:].sgn_()),
-    "indices": written(
-        lambda x, y: x[1:].index_fill_(0, torch.tensor([1]), 2.0).index_copy_(0, torch.tensor([0]), y[:1])
-    ),
+    "entries filled": written(lambda x, y: x[1:].index_fill_(0, torch.tensor([1]), 2.0)),
+    "entries copied": written(lambda x, y: x[1:].index_copy_(0, torch.tensor([0]), y[:1])),
 }
 
 
