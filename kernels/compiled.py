@@ -42,11 +42,7 @@ class Compiled:
     """
 
     def __init__(
-        self,
-        function: Callable[..., Parts],
-        *examples: Tensor,
-        batch: int = 256,
-        long: int = 0,
+        self, function: Callable[..., Parts], *examples: Tensor, batch: int = 256, long: int = 0
     ) -> None:
         if examples[0].device.type == "cpu":
             self.run: Callable[..., Parts] = Kernel(printed(function, *examples, long=long), examples)
@@ -92,10 +88,7 @@ class Kernel:
         self.seconds = min(timeit.repeat(lambda: self.of(probe, PROBED), number=1, repeat=3)) / PROBED
 
     def __call__(self, *tensors: Tensor, times: int = 1) -> Parts:
-        """Returns the function's results, or those after several calls in a row, see `batch`.
-
-        Raises ValueError for several calls of a function with loops that wait.
-        """
+        """Returns the function's results, after `times` calls in a row; raises ValueError for several if loops wait."""
         if times > 1 and self.waits:
             raise ValueError(f"times = {times}: must be 1 where loops wait")
         return self.of([tensors[i] for i in self.inputs], tensors[0].shape[-1], times)

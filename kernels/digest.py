@@ -22,17 +22,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-LIBRARIES = {
-    *sys.stdlib_module_names,
-    "torch",
-    "functorch",
-    "numpy",
-    "scipy",
-    "piqp",
-}  # their code counts by name
-OF_RUNS = {
-    f"kernels.{name}" for name in ("build", "cache", "compiled", "digest")
-}  # nothing in these modules is recorded
+# their code counts by name
+LIBRARIES = {*sys.stdlib_module_names, "torch", "functorch", "numpy", "scipy", "piqp"}
+# nothing in these modules is recorded
+OF_RUNS = {f"kernels.{name}" for name in ("build", "cache", "compiled", "digest")}
 BY_TEXT = {"getattr", "vars", "globals", "eval", "exec"}  # with these, code reads names that it lacks
 PYTHON = Path(sysconfig.get_path("stdlib"))
 SLOT = types.MemberDescriptorType
@@ -41,6 +34,7 @@ PLAIN = (type(None), bool, int, float, complex, str, bytes, type(...), range, sl
          torch.device)  # fmt: skip
 BUILTINS = (types.BuiltinFunctionType, types.MethodDescriptorType, types.WrapperDescriptorType, types.MethodWrapperType,
             types.ClassMethodDescriptorType, types.GetSetDescriptorType, SLOT)  # fmt: skip
+OF_BUILTIN = "__module__", "__objclass__", "__self__"
 UNREAD = {"__dict__", "__weakref__", "__doc__", "__annotations__", "__abstractmethods__", "_abc_impl",
           "__dataclass_fields__", "__dataclass_params__", "__slotnames__"}  # of a class  # fmt: skip
 
@@ -88,15 +82,12 @@ def of_kind(kind: type) -> Callable[[Any], Iterable[Any]] | None:
     return next((parts for kinds, parts in PARTS if issubclass(kind, kinds)), of_object)
 
 
-def is_library(module: str | None) -> bool:
-    """Checks whether the code of a module, given by name, counts by name."""
-    top = (module or "builtins").partition(".")[0]
-    return (top in LIBRARIES and is_installed(top)) or module in OF_RUNS
-
-
 @functools.cache
-def is_installed(top: str) -> bool:
-    """Checks whether a module of a library's name is the library's, and not, for example, a user's `statistics.py`."""
+def is_library(module: str | None) -> bool:
+    """Checks whether the code of a module, given by name, counts by name: not that of a user's `statistics.py`."""
+    top = (module or "builtins").partition(".")[0]
+    if module in OF_RUNS or top not in LIBRARIES:
+        return module in OF_RUNS
     found = importlib.util.find_spec(top)
     path = Path(found.origin if found and found.has_location and found.origin else PYTHON)
     return path.is_relative_to(PYTHON) or not {"site-packages", "dist-packages"}.isdisjoint(path.parts)
@@ -179,11 +170,6 @@ def of_set(it: Collection[Any]) -> list[str]:
     return texts
 
 
-def of_builtin(it: Any) -> tuple[Any, ...]:
-    """Returns a builtin's name, and what it is a method of."""
-    return it.__qualname__, *(getattr(it, name, None) for name in ("__module__", "__objclass__", "__self__"))
-
-
 PARTS: list[tuple[Any, Callable[[Any], Iterable[Any]]]] = [
     (types.FunctionType, of_function),
     (type, of_class),
@@ -192,7 +178,7 @@ PARTS: list[tuple[Any, Callable[[Any], Iterable[Any]]]] = [
     (types.CodeType, lambda it: (it.co_code, it.co_names, it.co_consts)),
     (types.CellType, lambda it: () if it == types.CellType() else (it.cell_contents,)),
     (types.MethodType, lambda it: (it.__func__, it.__self__)),
-    (BUILTINS, of_builtin),
+    (BUILTINS, lambda it: (it.__qualname__, *(getattr(it, name, None) for name in OF_BUILTIN))),
     (types.MappingProxyType, lambda it: (dict(it),)),
     (type(threading.RLock()), lambda it: ()),
     (threading.local, lambda it: ()),  # belongs to a run, like locks

@@ -8,7 +8,7 @@ import functools
 import gc
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from numpy import ndarray
 from torch import Tensor
+from torch.export import default_decompositions
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -239,13 +240,10 @@ class Recorder(TorchDispatchMode):
 class Watch(TorchFunctionMode):
     """Refuses Python's reads of recorded values that run no operation."""
 
-    def __init__(self, recorder: Recorder) -> None:
-        super().__init__()
-        self.recorder = recorder
-
     def __torch_function__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         """Handles any call of PyTorch."""
-        if function in SEEN_BY and not self.recorder.is_aside and not self.recorder.is_fixed(args[0]):
+        recorder = ACTIVE.all[-1]
+        if function in SEEN_BY and not recorder.is_aside and not recorder.is_fixed(args[0]):
             raise Unprintable(explained("", BRANCH))
         return function(*args, **(kwargs or {}))
 
@@ -266,7 +264,7 @@ def evaluated(
         array = argument(recorder, part)
         array.flags.writeable = False
         recorder.put(x, array)
-    with RECORDING, uncollected(), Watch(recorder), recorder:
+    with RECORDING, uncollected(), Watch(), recorder:
         ACTIVE.all.append(recorder)
         try:
             results = function(*inputs)
@@ -287,12 +285,9 @@ def argument(recorder: Recorder, part: Part) -> ndarray:
     return filled(values, (*shape, 1))
 
 
-@functools.cache
-def decompositions() -> Mapping[Any, Callable[..., Any]]:
-    """Returns operations as functions of others, as `torch.export` decomposes them."""
-    from torch.export import default_decompositions
-
-    return default_decompositions()
+decompositions = functools.cache(
+    default_decompositions
+)  # operations as functions of others, by `torch.export`
 
 
 def check_type(dtype: torch.dtype) -> None:

@@ -93,8 +93,7 @@ def attempt(desired: Tensor, a: Tensor, b: Tensor, steps: int) -> list[Tensor]:
     none, state = torch.zeros_like(b), begin(desired, len(b))
     for _ in range(steps):
         state, _ = step(*state, desired, a, b, none)
-    u = state.u.clamp(-1.0, 1.0)
-    residual = residual_of(u, multipliers(state, a, b, none), desired, a, b, none)
+    u, residual = residual_of(state, desired, a, b, none)
     solved = (residual <= ACCURATE) & finite  # false for NaN
     return [torch.where(solved, u, 0.0), torch.where(solved, Status.HARD, Status.UNSOLVED)]
 
@@ -118,11 +117,9 @@ def stage(
     """Solves programs without slack (number 0) or with slack (1); continues where there is no solution."""
     steep = torch.where(number > 0, weight, 0.0)
     everywhere = torch.ones_like(number, dtype=torch.bool)
-    state = State(
-        *loop(step, begin(desired, len(a)), desired, a, b, steep, alive=everywhere, most=MOST_STEPS)
-    )
-    u = state.u.clamp(-1.0, 1.0)
-    off = residual_of(u, multipliers(state, a, b, steep), desired, a, b, steep)
+    start = begin(desired, len(a))
+    state = State(*loop(step, start, desired, a, b, steep, alive=everywhere, most=MOST_STEPS))
+    u, off = residual_of(state, desired, a, b, steep)
     # infeasible programs, too: rounding may miss a row that only a corner of the bounds satisfies
     solved = (state.outcome != RUNNING) & (off <= ACCURATE)
     control = torch.where(solved, u, control)
@@ -187,24 +184,15 @@ def begin(desired: Tensor, rows: int) -> State:
     )
 
 
-def multipliers(state: State, a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
-    """Returns the multipliers of all rows (R, N), active or not."""
+def residual_of(state: State, desired: Tensor, a: Tensor, b: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns the controls within the bounds, and `kkt_residual` (N,); weight: zero for rows that must hold."""
+    u = state.u.clamp(-1.0, 1.0)
     rows = torch.arange(len(a), device=a.device)[:, None, None]
     of_places = total(torch.where(state.row == rows, state.multiplier, 0.0), 1)
-    return of_places + torch.where(state.soft, slack(state.u, a, b, weight), 0.0)
-
-
-def slack(u: Tensor, a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
-    """Returns the multipliers w_i delta_i (R, N) of active rows with slack."""
-    return (-weight * (total(a * u, 1) + b)).clamp(min=0.0)
-
-
-def residual_of(
-    u: Tensor, multiplier: Tensor, desired: Tensor, a: Tensor, b: Tensor, weight: Tensor
-) -> Tensor:
-    """Returns `kkt_residual` (N,) of rows after the bounds; weight: zero for rows that must hold."""
+    of_slack = (-weight * (total(a * state.u, 1) + b)).clamp(min=0.0)
+    multiplier = of_places + torch.where(state.soft, of_slack, 0.0)
     relief = torch.where(weight > 0.0, 1.0 / weight, 0.0)
-    return kkt_residual(u, multiplier[6:], desired, a[6:], b[6:], relief[6:])
+    return u, kkt_residual(u, multiplier[6:], desired, a[6:], b[6:], relief[6:])
 
 
 def step(
@@ -223,9 +211,10 @@ def step(
 
     # Remove rounding errors from the optimum of the active rows.
     lhs = total(a * u, 1) + b
-    pushed = total(a * torch.where(soft, -weight * lhs, 0.0)[:, None], 0) + places.pushed(multiplier)
+    pushed = total(a * torch.where(soft, -weight * lhs, 0.0)[:, None], 0)
+    pushed = pushed + reduce(torch.add, [n * m for n, m in zip(places.normals, multiplier, strict=True)])
     pushed = pushed + take(a, entering) * pressure
-    change, more = places.corrected(u - desired - pushed, places.missed(u))
+    change, more = places.corrected(u - desired - pushed, u)
     u, multiplier = u + change, multiplier + more
 
     lhs = total(a * u, 1) + b
@@ -237,8 +226,9 @@ def step(
     relief = torch.where(own_weight > 0.0, 1.0 / own_weight, 0.0)
 
     # Per unit of the entering row's multiplier, u moves along z, and multipliers fall: by r in places, by `fall` of
-    # rows with slack.
-    r, z, z2 = places.directions(normal)
+    # rows with slack. The normal is the combination r of the normals in places, and a rest; z is H^-1 of this rest.
+    rest, along = places.apart(forwards(places.lower, normal))
+    r, z, z2 = places.combination(along), backwards(places.lower, rest), total(rest * rest, 0)
     fall = weight * total(a * z, 1)
     z2 = z2 + relief
     is_free = z2 > DEPENDENT * (total(normal * normal, 0) + relief)
@@ -305,14 +295,6 @@ class Places(NamedTuple):
             found.basis.append(torch.where(size > 0.0, rest / size, 0.0))
         return found
 
-    def missed(self, u: Tensor) -> list[Tensor]:
-        """Returns by how much each row does not hold with equality under controls (3, N)."""
-        return [total(n * u, 0) + b for n, b in zip(self.normals, self.sides, strict=True)]
-
-    def pushed(self, multiplier: Tensor) -> Tensor:
-        """Returns the sum of the normals (3, N), each times its multiplier."""
-        return reduce(torch.add, [n * m for n, m in zip(self.normals, multiplier, strict=True)])
-
     def apart(self, x: Tensor) -> tuple[Tensor, list[Tensor]]:
         """Returns the part of x (3, N) across the basis and the parts along it; two passes for nearly parallel rows."""
         along = [torch.zeros_like(x[0])] * len(self.basis)
@@ -331,29 +313,17 @@ class Places(NamedTuple):
             found.append(torch.where(self.share[k][k] > 0.0, left / self.share[k][k], 0.0))
         return torch.stack(found[::-1])
 
-    def directions(self, normal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Returns r (3, N), z and normal . z for a normal (3, N).
-
-        The normal is the combination r of the normals in places, and a rest; z is H^-1 of this rest.
-        """
-        rest, along = self.apart(forwards(self.lower, normal))
-        return self.combination(along), backwards(self.lower, rest), total(rest * rest, 0)
-
-    def corrected(self, off: Tensor, missed: list[Tensor]) -> tuple[Tensor, Tensor]:
-        """Returns the changes of u (3, N) and of multipliers (3, N).
-
-        Args:
-            off: (3, N) error of stationarity; missed: as returned by `missed`.
-        """
+    def corrected(self, off: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the changes of u (3, N) and of multipliers (3, N); off: (3, N) error of stationarity."""
+        missed = [total(n * u, 0) + b for n, b in zip(self.normals, self.sides, strict=True)]
         along: list[Tensor] = []
         for k in range(3):
             left = -missed[k] - dot(self.share[k][:k], along, missed[k])
             along.append(torch.where(self.share[k][k] > 0.0, left / self.share[k][k], 0.0))
         across, parts = self.apart(forwards(self.lower, off))
         change = reduce(torch.add, [q * y for q, y in zip(self.basis, along, strict=True)]) - across
-        return backwards(self.lower, change), self.combination(
-            [y + p for y, p in zip(along, parts, strict=True)]
-        )
+        change = backwards(self.lower, change)
+        return change, self.combination([y + p for y, p in zip(along, parts, strict=True)])
 
 
 def cholesky(weight: Tensor, a: Tensor) -> Lower:

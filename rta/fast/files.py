@@ -5,7 +5,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Sequence
-from functools import partial
+from itertools import chain
 from pathlib import Path
 from textwrap import wrap
 
@@ -15,8 +15,8 @@ from inspection.model.dynamics import step
 from kernels.cache import remembered
 from kernels.exported import REFUSES_FAST_MATH, check_directory, check_prefix, prefixed
 from kernels.printer import printed
-from rta.fast.filter import printed_answer
-from rta.fast.source import define, driver_text, entries, for_one, interface, source, table
+from rta.fast.filter import latency, printed_answer
+from rta.fast.source import define, driver_text, entries, for_one, interface, table
 from rta.fast.vectors import vectors
 from rta.filter import SafetyFilter
 from rta.names import UNITS
@@ -103,17 +103,14 @@ def sources(
         "safety_filter.h": lambda: head,
         "safety_filter.c": lambda: source,
         "safety_filter_vectors.h": lambda: change(vectors_header(safety_filter)),
-        "test_safety_filter.c": lambda: marked(change(driver_text("test_safety_filter.c"))),
-        "example.c": lambda: marked(change(driver_text("example.c") + "\n" + model(safety_filter))),
+        "test_safety_filter.c": lambda: f"/* {MARK}. */\n" + change(driver_text("test_safety_filter.c")),
+        "example.c": lambda: (
+            f"/* {MARK}. */\n" + change(driver_text("example.c") + "\n" + model(safety_filter))
+        ),
         "Makefile": lambda: f"# {MARK}.\n" + change(driver_text("safety_filter.mk")),
         SUMS: lambda: "\n".join([f"# {MARK}", *sums, ""]),
     }
     return {change(name): texts[name]() for name in only}
-
-
-def marked(text: str) -> str:
-    """Returns a C text with MARK on its first line."""
-    return f"/* {MARK}. */\n{text}"
 
 
 def digest(text: str) -> str:
@@ -139,11 +136,7 @@ def header(safety_filter: SafetyFilter, verified: str, configuration: str, sourc
     lines = [
         f"/* {MARK}: a safety filter for one spacecraft.",
         " *",
-        *(
-            f" * {line}".rstrip()
-            for paragraph in (verified, about(safety_filter))
-            for line in folded(paragraph)
-        ),
+        *(f" * {line}".rstrip() for line in (*folded(verified), *folded(about(safety_filter)))),
         " */",
         "#ifndef SAFETY_FILTER_H",
         "#define SAFETY_FILTER_H",
@@ -155,11 +148,7 @@ def header(safety_filter: SafetyFilter, verified: str, configuration: str, sourc
         f'#define SAFETY_FILTER_VERSION "{VERSION}"',
         f'#define SAFETY_FILTER_CONFIGURATION "{configuration}" /* SHA-256 */',
         f'#define SAFETY_FILTER_SOURCE "{source}" /* SHA-256 of safety_filter.c */',
-        define(
-            "SAFETY_FILTER_VERIFIED",
-            int(not verified.startswith("NOT VERIFIED")),
-            "1: by the campaigns above",
-        ),
+        define("SAFETY_FILTER_VERIFIED", int(not verified.startswith("NOT")), "1: by the campaigns above"),
         "",
         interface(safety_filter),
         enumeration("state", "STATE_", list(STATE.items())),
@@ -192,9 +181,8 @@ def about(safety_filter: SafetyFilter) -> str:
 
 def folded(text: str) -> list[str]:
     """Returns paragraphs in lines of WIDTH, followed by an empty line."""
-    return [
-        line for part in text.splitlines() for line in (wrap(part, WIDTH, subsequent_indent="  ") or [""])
-    ] + [""]
+    parts = [wrap(part, WIDTH, subsequent_indent="  ") or [""] for part in text.splitlines()]
+    return [*chain(*parts), ""]
 
 
 def enumeration(kind: str, prefix: str, members: Sequence[tuple[str, str]]) -> str:
@@ -210,18 +198,15 @@ def enumeration(kind: str, prefix: str, members: Sequence[tuple[str, str]]) -> s
     return "\n".join([f"enum safety_filter_{kind} {{", *lines, "};", ""])
 
 
-def quoted(text: str) -> str:
-    """Returns a text as a C string, without trigraphs."""
-    return json.dumps(text, ensure_ascii=False).replace("??", r"?\?")
-
-
 # the source
 
 
 def implementation(safety_filter: SafetyFilter) -> str:
     """Returns the text of safety_filter.c: functions stand before their callers, the order of a call last."""
     function = remembered(printed_answer, safety_filter, True)
-    names = ",\n".join(f"    {quoted(name)}" for name in safety_filter.names)
+    strings = [json.dumps(name, ensure_ascii=False) for name in safety_filter.names]
+    names = ",\n".join(f"    {each}" for each in strings).replace("??", r"?\?")  # without trigraphs
+    sent = define("SENT", "&sent[0][0]," if latency(safety_filter) else "")
     return "\n".join(
         [
             f"/* {MARK}: see safety_filter.h. The order of a call is in `filter`, near the end; V is a number, M a",
@@ -234,7 +219,9 @@ def implementation(safety_filter: SafetyFilter) -> str:
             "",
             f"const char *const safety_filter_names[SAFETY_FILTER_CONSTRAINTS] = {{\n{names}\n}};",
             "",
-            source(safety_filter, function),
+            for_one([function]),
+            sent,
+            driver_text("call.c"),
         ]
     )
 
@@ -259,11 +246,7 @@ def vectors_header(safety_filter: SafetyFilter) -> str:
             "",
             define("VECTORS", count),
             define("TOLERANCE", TOLERANCE, "of controls, in units of the actuators' limits"),
-            define(
-                "TOLERANCE_OF_H",
-                TOLERANCE_OF_H,
-                "of the constraints' values, relative to those above 1",
-            ),
+            define("TOLERANCE_OF_H", TOLERANCE_OF_H, "of the constraints' values, relative to those above 1"),
             "",
             f"static const struct safety_filter_input given[VECTORS] = {{\n{inputs}\n}};",
             "",
@@ -292,10 +275,12 @@ def of_call(x: Tensor, desired: Tensor, sent: Tensor) -> str:
 def model(safety_filter: SafetyFilter) -> str:
     """Returns the step of the model that example.c flies."""
     x, u = safety_filter.probe()[:2]
-    run = partial(model_step, safety_filter)
-    return for_one([printed(run, x, u, name="model_step", names=(("x", "u"), ("y",)), single=True)])
-
-
-def model_step(safety_filter: SafetyFilter, x: Tensor, u: Tensor) -> list[Tensor]:
-    """Returns the state a second later."""
-    return [step(x, u, 1.0, safety_filter.c)]
+    second = printed(
+        lambda x, u: [step(x, u, 1.0, safety_filter.c)],
+        x,
+        u,
+        name="model_step",
+        names=(("x", "u"), ("y",)),
+        single=True,
+    )
+    return for_one([second])

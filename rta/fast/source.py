@@ -1,4 +1,4 @@
-"""The filter for one spacecraft as C99 for flight software: `SafetyFilter.answer` printed, and its callers."""
+"""Parts of C99 for flight software: printed functions with the definitions that they need, constants, tables."""
 
 import math
 import re
@@ -14,12 +14,6 @@ from rta.filter import SafetyFilter
 SCALAR, FUNCTIONS = header("scalar.h"), header("functions.h")
 
 
-def source(safety_filter: SafetyFilter, function: Printed) -> str:
-    """Returns the printed filter and its callers, to follow safety_filter.h."""
-    head = [define("SENT", "&sent[0][0]," if latency(safety_filter) else "")]
-    return "\n".join([for_one([function]), *head, driver_text("call.c")])
-
-
 def driver_text(name: str) -> str:
     """Returns the text of a file of the folder driver."""
     return (files("rta.fast") / "driver" / name).read_text(encoding="utf-8")
@@ -27,13 +21,8 @@ def driver_text(name: str) -> str:
 
 def for_one(parts: Sequence[Printed]) -> str:
     """Returns printed functions for one spacecraft, with the definitions that they need."""
-    text = text_of(parts)
+    text = "\n".join(each for part in parts for each in (*part.parts, part.text))
     return operations(text) + "\n" + text
-
-
-def text_of(parts: Sequence[Printed]) -> str:
-    """Returns the text of printed functions."""
-    return "\n".join(text for part in parts for text in (*part.parts, part.text))
 
 
 def operations(text: str) -> str:
@@ -45,14 +34,12 @@ def operations(text: str) -> str:
         called |= set(re.findall(r"\b([A-Z][A-Z0-9_]*)\(", functions))
     of_c = {macro(name, "double"): name for name in (*QUICK, *OF_ONE, *OF_TWO, "fabs")}
     own = [f"#define {call}(...) {of_c[call]}(__VA_ARGS__)" for call in sorted(called & of_c.keys())]
-    needed = [line for line in SCALAR.splitlines() if is_needed(line, text + functions)]
+    needed = []
+    for line in SCALAR.splitlines():
+        defined = re.match(r"#define (\w+)", line)
+        if not defined or re.search(rf"\b{defined[1]}\b", text + functions):
+            needed.append(line)
     return "\n".join(["typedef double real;", *needed, *own, functions, ""])
-
-
-def is_needed(line: str, text: str) -> bool:
-    """Checks whether a line of SCALAR defines something that occurs in a text, or is no definition."""
-    defined = re.match(r"#define (\w+)", line)
-    return not defined or re.search(rf"\b{defined[1]}\b", text) is not None
 
 
 def interface(safety_filter: SafetyFilter) -> str:

@@ -71,9 +71,8 @@ def vectors(safety_filter: SafetyFilter) -> Vectors:
     given = [x, desired, sent]
     kept = torch.nonzero(is_steady(other, given, draw)).flatten()[:KEPT]
     given = [part[..., kept] for part in given]
-    given = [
-        torch.cat(pair, -1) for pair in zip(given, hostile([part[..., :22] for part in given]), strict=True)
-    ]
+    others = hostile([part[..., :22] for part in given])
+    given = [torch.cat(pair, -1) for pair in zip(given, others, strict=True)]
     state, desired, sent = given
     return Vectors(state, desired, sent, answered(other, given))
 
