@@ -112,7 +112,7 @@ def mapped(function: Callable[[Tensor], Any], given: Any) -> Any:
     """Replaces every tensor in nested tuples and lists by the function's result."""
     if isinstance(given, Tensor):
         return function(given)
-    if not isinstance(given, list | tuple) or not has_tensors(given):
+    if not isinstance(given, list | tuple) or not tensors_in(given):
         return given
     found = [mapped(function, each) for each in given]
     return type(given)._make(found) if hasattr(given, "_make") else type(given)(found)
@@ -123,11 +123,6 @@ def tensors_in(given: Any) -> list[Tensor]:
     if isinstance(given, Tensor):
         return [given]
     return [x for each in given for x in tensors_in(each)] if isinstance(given, list | tuple) else []
-
-
-def has_tensors(given: Any) -> bool:
-    """Checks whether something is a tensor, or a tuple or a list that holds one."""
-    return bool(tensors_in(given))
 
 
 def if_long(length: int) -> int:

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from columns import has_tensors, mapped, tensors_in
+from columns import mapped, tensors_in
 from kernels.build import header
 from kernels.exported import TAKEN
 from kernels.operations.expressions import MASK, Expression, Program, Value
@@ -223,7 +223,7 @@ def leaves(name: str, given: Any) -> list[str]:
     """Returns the names of the tensors in an argument, from the argument's name."""
     if isinstance(given, Tensor):
         return [name]
-    if not has_tensors(given):
+    if not tensors_in(given):
         return []
     fields = getattr(given, "_fields", range(len(given)))
     return [

@@ -1,7 +1,6 @@
 """Compiled functions of a batch: printed as C on a CPU, by torch.compile on CUDA."""
 
 import ctypes
-import math
 import os
 import timeit
 from collections.abc import Callable, Sequence
@@ -14,7 +13,7 @@ from torch import Tensor
 
 from kernels import build
 from kernels.build import for_vectors, header
-from kernels.printer import Part, Printed, printed
+from kernels.printer import Printed, printed
 from kernels.waiting import INCLUDE
 
 WORTH_A_THREAD = 6e-5  # s of computing from which on a thread for a share is worth its overhead
@@ -105,7 +104,9 @@ class Kernel:
             torch.empty(*shape, columns, dtype=dtype)
             for shape, dtype in zip(self.shapes, self.dtypes, strict=True)
         ]
-        given = [strided(x) for x in tensors]
+        # components evenly apart, columns neighbours
+        flat = [x.reshape(part.size, columns) for part, x in zip(self.parts, tensors, strict=True)]
+        given = [x if x.stride(1) == 1 or columns == 1 else x.contiguous() for x in flat]
         found = [x for x in results if x.numel()]
         if columns:
             arguments = (*pointers(given), *pointers(found), times)
@@ -143,6 +144,13 @@ def batch(function: Printed) -> str:
     inputs, outputs = function.inputs, function.outputs
     both = (*inputs, *outputs)
     call = f"{function.name}({', '.join([*(['YES'] if function.is_told else []), *(part.name for part in both)])});"
+    loads, stores = [], []
+    for i, x in enumerate(inputs):
+        load = f"load_{x.kind}(in[{i}], k * in_step[{i}] + column, lanes)"
+        loads.append(f"        for (long k = 0; k < {x.size}; k++) {{ {x.name}[k] = {load}; }}")
+    for i, y in enumerate(outputs):
+        store = f"store_{y.kind}(out[{i}], k * out_step[{i}] + column, lanes, {y.name}[k]);"
+        stores.append(f"        for (long k = 0; k < {y.size}; k++) {{ {store} }}")
     lines = [
         f"long {function.name}_batch(long first, long last, const void *const *in, const long *in_step,",
         "    void *const *out, const long *out_step, long times)",
@@ -150,10 +158,10 @@ def batch(function: Printed) -> str:
         "    for (long column = first; column < last; column += W) {",
         "        const long lanes = last - column;",
         *(f"        {part.array()};" for part in both),
-        *(moved(part, f"in[{i}]", f"in_step[{i}]", "{0}[k] = load_{1}({2});") for i, part in enumerate(inputs)),
+        *loads,
         f"        {call}",
         *repeated(function, call),
-        *(moved(part, f"out[{i}]", f"out_step[{i}]", "store_{1}({2}, {0}[k]);") for i, part in enumerate(outputs)),
+        *stores,
         "    }",
         "    return 0;",
         "}",
@@ -175,18 +183,6 @@ def repeated(function: Printed, call: str) -> list[str]:
         f"            {call}",
         "        }",
     ]
-
-
-def moved(part: Part, place: str, step: str, how: str) -> str:
-    """Returns the line of C that loads or stores a part's components of W columns."""
-    line = how.format(part.name, part.kind, f"{place}, k * {step} + column, lanes")
-    return f"        for (long k = 0; k < {part.size}; k++) {{ {line} }}"
-
-
-def strided(x: Tensor) -> Tensor:
-    """Returns x (..., B) as (components, B): a view if columns are neighbours, components evenly apart, else a copy."""
-    flat = x.reshape(math.prod(x.shape[:-1]), x.shape[-1])
-    return flat if flat.stride(1) == 1 or flat.shape[1] == 1 else flat.contiguous()
 
 
 def pointers(tensors: Sequence[Tensor]) -> tuple[Any, Any]:

@@ -16,7 +16,7 @@ import threading
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -39,11 +39,11 @@ UNREAD = {"__dict__", "__weakref__", "__doc__", "__annotations__", "__abstractme
           "__dataclass_fields__", "__dataclass_params__", "__slotnames__"}  # of a class  # fmt: skip
 
 
-class Reached:
+class Reached(NamedTuple):
     """Holds a module, as far as code with these names reads it."""
 
-    def __init__(self, module: types.ModuleType, names: frozenset[str]) -> None:
-        self.module, self.names = module, names
+    module: types.ModuleType
+    names: frozenset[str]
 
 
 def digest(*things: Any) -> str | None:

@@ -132,11 +132,6 @@ class Frame:
         known = all(not isinstance(v, Expression) or self.segment[v.index] == 0 for v in own)
         return known and self.owner is None
 
-    def loaded(self, s: int) -> list[Expression]:
-        """Returns the values that a segment reads from records."""
-        found = {each.index: each for each in self.used(s) if self.is_loaded(each, s)}
-        return [each for _, each in sorted(found.items())]
-
     def is_loaded(self, each: Expression, s: int) -> bool:
         """Checks whether a segment reads a value from records instead of computing it."""
         is_argument = each.operation == "input" and self.owner is not None

@@ -3,7 +3,7 @@
 import math
 import re
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from kernels.parts import LETTER, Called, Part, Recorded, element
 INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "=="}
 WIDTH = 120  # of lines
 LOOPS = ("loop", "waiting")
+ALONG = "* i]"  # the end of a component along the long axis
 START = {"sum": 0.0, "least": math.inf, "most": -math.inf, "any": False}
 
 
@@ -65,7 +66,7 @@ class Body:
             self.stores += [
                 (element(part, at, shape), as_kind(array[(*at, 0)]), part.values) for at in places
             ]
-        wanted = indices(value for _, value, _ in self.stores)
+        wanted = {value.index for _, value, _ in self.stores if isinstance(value, Expression)}
         self.needed = with_arguments(function.program.expressions, wanted)
         self.waits = [each for each in self.needed if each.operation == "waiting"]
         self.asks = not called.single and any(each.operation in (*LOOPS, "call") for each in self.needed)
@@ -93,7 +94,7 @@ class Body:
             own = [each for each in self.needed if not each.varies and each.stage == stage]
             lines += [self.line(each, 1) for each in own if each.operation not in REDUCTIONS]
             lines += self.loop(self.needed, stage, stage == last)
-        stores = [each for each in self.stores if not varying(each[0])]
+        stores = [each for each in self.stores if not each[0].endswith(ALONG)]
         lines += [f"    {place} = {self.operand(value, kind)};" for place, value, kind in stores]
         return [line for line in lines if line]
 
@@ -109,7 +110,7 @@ class Body:
         It computes the reductions of the next stage or, at the last stage, the outputs.
         """
         reductions = [each for each in needed if each.operation in REDUCTIONS and each.stage == stage + 1]
-        stores = [each for each in self.stores if is_last and varying(each[0])]
+        stores = [each for each in self.stores if is_last and each[0].endswith(ALONG)]
         if not reductions and not stores:
             return []
         wanted = {a.index for each in reductions for a in each.arguments if isinstance(a, Expression)}
@@ -263,15 +264,13 @@ class Body:
 
 def folded(text: str) -> str:
     """Wraps lines of C at WIDTH."""
-    return "\n".join(
-        line if len(line) <= WIDTH else textwrap.fill(line, WIDTH, subsequent_indent=" " * (indent(line) + 4))
-        for line in text.split("\n")
-    )
-
-
-def indent(line: str) -> int:
-    """Returns how many spaces a line begins with."""
-    return len(line) - len(line.lstrip())
+    lines = []
+    for line in text.split("\n"):
+        indent = len(line) - len(line.lstrip()) + 4
+        lines.append(
+            line if len(line) <= WIDTH else textwrap.fill(line, WIDTH, subsequent_indent=" " * indent)
+        )
+    return "\n".join(lines)
 
 
 def side_by_side(texts: Sequence[str]) -> str | None:
@@ -285,16 +284,6 @@ def side_by_side(texts: Sequence[str]) -> str | None:
 def declared(start: str, parts: Sequence[Part]) -> list[str]:
     """Returns the declarations of results."""
     return [f"{y.array(start)};" for y in parts if y.size]
-
-
-def indices(values: Iterable[Value]) -> set[int]:
-    """Returns the indices of the expressions among values."""
-    return {value.index for value in values if isinstance(value, Expression)}
-
-
-def varying(place: str) -> bool:
-    """Checks whether a component lies along the long axis."""
-    return place.endswith("* i]")
 
 
 def with_arguments(expressions: Sequence[Expression], wanted: set[int]) -> list[Expression]:

@@ -178,7 +178,8 @@ def computed(frame: Frame, s: int) -> list[str]:
 def loads(frame: Frame, s: int) -> list[str]:
     """Returns the statements that load what a segment reads from records: elements of arrays, and single numbers."""
     body, lines = frame.body, list[str]()
-    texts = [(body.operand(each), each) for each in frame.loaded(s)]
+    loaded = {each.index: each for each in frame.used(s) if frame.is_loaded(each, s)}
+    texts = [(body.operand(each), each) for _, each in sorted(loaded.items())]
     arrays = declared("", body.function.inputs)
     for each in body.needed:
         if each.operation in (*LOOPS, "call"):

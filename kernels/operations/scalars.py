@@ -18,7 +18,7 @@ SAME = ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "ta
 def scalars(p: Program) -> dict[str, Scalar]:
     """Returns all operations, for a program that collects the expressions."""
     same = {name: partial(p.call, name) for name in SAME}
-    return same | arithmetic(p) | comparisons(p) | of_one(p) | of_several(p)
+    return same | arithmetic(p) | comparisons(p) | of_numbers(p)
 
 
 def arithmetic(p: Program) -> dict[str, Scalar]:
@@ -28,9 +28,6 @@ def arithmetic(p: Program) -> dict[str, Scalar]:
         if alpha == -1:
             return p.sub(a, b)
         return p.add(a, p.mul(float(alpha), b))
-
-    def power(a: Value, b: Value) -> Value:
-        return p.power(a, float(b)) if isinstance(b, int | float) else p.call("pow", a, b)
 
     def divided(a: Value, b: Value, rounding_mode: str | None = None) -> Value:
         if rounding_mode == "floor":
@@ -48,7 +45,7 @@ def arithmetic(p: Program) -> dict[str, Scalar]:
         "div": divided,
         "floor_divide": partial(floor_divided, p),
         "remainder": remainder,
-        "pow": power,
+        "pow": lambda a, b: p.power(a, float(b)) if isinstance(b, int | float) else p.call("pow", a, b),
     }
 
 
@@ -86,8 +83,13 @@ def comparisons(p: Program) -> dict[str, Scalar]:
     }
 
 
-def of_one(p: Program) -> dict[str, Scalar]:
-    """Returns the functions of one number."""
+def of_numbers(p: Program) -> dict[str, Scalar]:
+    """Returns functions of numbers, and choices between them."""
+
+    def clamp(a: Value, low: Any = None, high: Any = None) -> Value:
+        """Returns NaN for NaN; where the bounds cross, the upper bound."""
+        a = a if low is None else p.max(a, low)
+        return a if high is None else p.min(a, high)
 
     return {
         "neg": p.neg,
@@ -99,18 +101,6 @@ def of_one(p: Program) -> dict[str, Scalar]:
         "round": partial(p.call, "rint"),
         "sigmoid": lambda a: p.div(1.0, p.add(1.0, p.call("exp", p.neg(a)))),
         "relu": lambda a: p.max(a, 0.0),
-    }
-
-
-def of_several(p: Program) -> dict[str, Scalar]:
-    """Returns the choices between numbers."""
-
-    def clamp(a: Value, low: Any = None, high: Any = None) -> Value:
-        """Returns NaN for NaN; where the bounds cross, the upper bound."""
-        a = a if low is None else p.max(a, low)
-        return a if high is None else p.min(a, high)
-
-    return {
         "minimum": p.min,
         "maximum": p.max,
         "where": p.select,
