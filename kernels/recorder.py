@@ -250,18 +250,15 @@ class Watch(TorchFunctionMode):
 
 @torch.no_grad()
 def evaluated(
-    function: Callable[..., Any],
-    examples: Sequence[Tensor],
-    parts: Sequence[Part],
-    recorder: Recorder,
+    function: Callable[..., Any], examples: Sequence[Tensor], parts: Sequence[Part], recorder: Recorder
 ) -> tuple[Any, list[ndarray]]:
-    """Returns a function's results for examples, and the values of its tensors, (..., 1) each.
-
-    `parts` are its arguments.
-    """
+    """Returns a function's results for examples of `parts`, and the values of its tensors, (..., 1) each."""
     inputs = [x.clone() for x in examples]
     for part, x in zip(parts, inputs, strict=True):
-        array = argument(recorder, part)
+        shape = recorder.operations.axes.short(part.shape)
+        kinds = part.values, shape != part.shape, part.kind == "float"
+        places = [element(part, at, shape) for at in np.ndindex(shape)]
+        array = filled([recorder.program.input(place, *kinds) for place in places], (*shape, 1))
         array.flags.writeable = False
         recorder.put(x, array)
     with RECORDING, uncollected(), Watch(), recorder:
@@ -273,21 +270,8 @@ def evaluated(
     return results, [recorder.values(each) for each in tensors_in(results)]
 
 
-def argument(recorder: Recorder, part: Part) -> ndarray:
-    """Returns the values of an input."""
-    shape = recorder.operations.axes.short(part.shape)
-    values = [
-        recorder.program.input(
-            element(part, place, shape), part.values, shape != part.shape, part.kind == "float"
-        )
-        for place in np.ndindex(shape)
-    ]
-    return filled(values, (*shape, 1))
-
-
-decompositions = functools.cache(
-    default_decompositions
-)  # operations as functions of others, by `torch.export`
+# operations as functions of others
+decompositions = functools.cache(default_decompositions)
 
 
 def check_type(dtype: torch.dtype) -> None:
@@ -306,11 +290,8 @@ def said_of(function: Any) -> tuple[str, bool, bool]:
     """Returns an operation's name, whether its result is random, and whether values decide its computation or shape."""
     name, tags = function.name().split("::")[1].split(".")[0], function.tags
     by_values = torch.Tag.dynamic_output_shape in tags and name != "index"
-    return (
-        name,
-        torch.Tag.nondeterministic_seeded in tags,
-        by_values or torch.Tag.data_dependent_output in tags,
-    )
+    by_values |= torch.Tag.data_dependent_output in tags
+    return name, torch.Tag.nondeterministic_seeded in tags, by_values
 
 
 @contextmanager

@@ -12,7 +12,6 @@ from torch import Tensor
 from rta.fast.filter import batched
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from rta.result import Status
 from rta.robust.filter import RobustFilter
 from settings import load
 from study.config import Config
@@ -119,11 +118,11 @@ def states(count: int, seed: int) -> tuple[Tensor, Tensor]:
 def in_python(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> Answers:
     """Returns PyTorch's answers, by operations in batches, uncompiled."""
     other = batched(safety_filter)
-    parts = [other.correct(*pair) for pair in zip(x.split(CHUNK, 1), desired.split(CHUNK, 1), strict=True)]
-    answers = [
-        Answers(r.control, r.status[None], torch.stack((r.verified, r.backup)), r.h, r.slack, r.active)
-        for r in parts
-    ]
+    answers = []
+    for pair in zip(x.split(CHUNK, 1), desired.split(CHUNK, 1), strict=True):
+        r = other.correct(*pair)
+        check = torch.stack((r.verified, r.backup))
+        answers.append(Answers(r.control, r.status[None], check, r.h, r.slack, r.active))
     return Answers(*(torch.cat(each, 1) for each in zip(*answers, strict=True)))
 
 
@@ -136,30 +135,3 @@ def in_c(program: list[str | Path], x: Tensor, desired: Tensor) -> Answers:
     count = (len(found) - 9) // 3
     control, status, check, h, slack, active = found.split([6, 1, 2, count, count, count])
     return Answers(control, status.long(), check > 0, h, slack, active > 0)
-
-
-class Comparison(NamedTuple):
-    """Holds the differences of two answers, by call (N,).
-
-    Attributes:
-        other_status: the status differs, or what the check says; control: in units of the actuators' limits;
-            h: relative to those above 1, 0 where the state is none; unsolved: of a state that is one, in both.
-    """
-
-    other_status: Tensor
-    control: Tensor
-    h: Tensor
-    unsolved: Tensor
-
-
-def compared(x: Tensor, one: Answers, other: Answers, limit: Tensor) -> Comparison:
-    """Returns the differences."""
-    sound = x.isfinite().all(0)
-    h = ((one.h - other.h).abs() / one.h.abs().clamp(min=1.0)).amax(0)
-    mine, others = one.status == Status.UNSOLVED, other.status == Status.UNSOLVED
-    return Comparison(
-        ((one.status != other.status) | (one.check != other.check)).any(0),
-        ((one.control - other.control).abs() / limit[:, None]).amax(0),
-        torch.where(sound, h, 0.0),
-        (mine & others).any(0) & sound,
-    )
