@@ -55,7 +55,7 @@ def test_a_filter_is_printed_alike_for_any_example(name: str, monkeypatch: pytes
     expected = printed_answer(safety, False), printed_is_safe(safety)
     draw = torch.Generator().manual_seed(0)
     others = [30.0 * torch.randn(x.shape, generator=draw, dtype=x.dtype) for x in safety.probe()]
-    monkeypatch.setattr(SafetyFilter, "probe", lambda *_: others)
+    monkeypatch.setattr(type(safety), "probe", lambda *_: others)
     assert (printed_answer(safety, False), printed_is_safe(safety)) == expected
 
 
