@@ -47,7 +47,7 @@ def test_a_changed_filter_says_that_it_is_not_verified(
 
 def test_a_campaign_flies_through_the_c(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     try:
-        build.compiler()
+        build.compilers()
     except build.NoCompilerError as error:
         pytest.skip(str(error))
     flight, reports = ["verify", "--episodes", "16", "--duration", "60", "--device", "cpu"], []
