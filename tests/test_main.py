@@ -14,7 +14,7 @@ from inspection.transition import METRICS
 from rta.fast.program import FastProgram
 from rta.names import CONSTRAINTS
 from rta.paper import PaperFilter
-from settings import configured, from_toml, load, override
+from settings import from_toml, load, override
 from study import experiment
 from study.config import Config, StudyConfig
 from study.experiment import load_policy
@@ -178,14 +178,6 @@ def test_simulate_runs_every_classical_controller_within_the_actuators_limits(
     assert code == 0, err
     limit = np.array([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])
     assert (np.abs(np.load(out)["control_desired"]) <= limit * (1 + 1e-9)).all()
-
-
-def test_flags_override_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "some.toml"
-    path.write_text("[train]\nseed = 5\nnum_envs = 8\n")
-    words = ["train", "--config", str(path), "--seed", "6", "--no-rta"]
-    train = configured(main.build_parser().parse_args(words), Config()).train
-    assert (train.seed, train.num_envs, train.rta) == (6, 8, False)
 
 
 def test_all_settings_are_printed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,6 +11,7 @@ from experiments import measure
 from experiments.measure import Counted, accepted, full, starts
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import P
+from rta.fast.filter import fast
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from settings import override
@@ -61,7 +62,7 @@ def test_full_control_is_at_the_limits_and_is_held() -> None:
 
 @pytest.mark.parametrize("where", ["paper", "safe-set", "edge"])
 def test_starts_are_accepted_and_where_they_should_be(where: str) -> None:
-    safety_filter = SafetyFilter(C)
+    safety_filter = fast(SafetyFilter(C))
     x, priority = starts(where, 20, 0, safety_filter)
     assert x.shape == (16, 20) and priority.shape == (3, 20) and safety_filter.is_safe(x).all()
     distance = x[P].norm(dim=0)
@@ -71,7 +72,7 @@ def test_starts_are_accepted_and_where_they_should_be(where: str) -> None:
 
 @pytest.mark.parametrize("period", [1.0, pytest.param(10.0, marks=pytest.mark.campaign)])
 def test_beside_states_that_are_barely_starts_there_are_others_that_are_none(period: float) -> None:
-    safety_filter = SafetyFilter(C, RtaParameters(period=period))
+    safety_filter = fast(SafetyFilter(C, RtaParameters(period=period)))
     shares = []
     for where in ("barely", "safe-set"):
         x, _ = starts(where, 100, 0, safety_filter)

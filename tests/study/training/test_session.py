@@ -271,25 +271,6 @@ def test_a_finished_run_goes_on_as_a_longer_one_but_for_the_annealing(
     assert not (tmp_path / "short" / "config.toml.tmp").exists()
 
 
-def test_a_run_says_beforehand_how_long_it_is_and_what_comes_after_it(
-    settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    said: list[str] = []
-    train = training.Run.train
-    monkeypatch.setattr(
-        training.Run, "train", lambda self: (said.append(capsys.readouterr().out), train(self))[1]
-    )
-    run = tmp_path / "run"
-    assert main.main(["train", "--config", str(settings), "--run-dir", str(run), "--interactions", "17"]) == 0
-    assert (
-        "\n32 interactions (17 rounded up), in updates of num_envs * rollout_steps = 4 * 4 = 16\n" in said[0]
-    )
-    assert "\nthen 2 test flights, which may take minutes (--final-episodes N changes that)\n" in said[0]
-    assert checkpoint.load(run / "checkpoint.pt", ("update",))["update"] == 2
-    assert main.main(["train", "--resume", str(run), "--interactions", "48", "--final-episodes", "3"]) == 0
-    assert "\n48 interactions, in updates of num_envs * rollout_steps = 4 * 4 = 16; 32 are done\n" in said[1]
-
-
 def test_a_finished_run_takes_other_final_episodes(
     settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
