@@ -119,13 +119,13 @@ def table(report: dict[str, Any]) -> str:
     total = sum(calls.values())
     corrected = 100.0 * (total - calls["untouched"]) / max(total, 1)
     lines = [
-        f"{'constraint':20s} {'violating steps':>16s} {'episodes':>9s} {'worst value':>13s}",
+        f"{'constraint':20s} {'violating checks':>16s} {'episodes':>9s} {'worst value':>13s}",
         *(
             f"{name:20s} {steps[name]:16,d} {episodes[name]:9,d} {report['worst_value'][name]:13.5g}"
             for name in CONSTRAINTS
         ),
         f"{'any of them':20s} {steps['any']:16,d} {episodes['any']:9,d}",
-        f"{report['episodes']:,} episodes, {report['steps']:,} steps; violation probability per episode below "
+        f"{report['episodes']:,} episodes, {report['steps']:,} checks; violation probability per episode below "
         f"{report['upper_bound_95']:.2e} (95 %)",
         f"{total:,} filter calls, {corrected:.1f} % corrected, {calls['slack']:,} with slack, "
         f"{report['unsolved']:,} unsolved, {report['backup_calls']:,} by the backup; controls outside their bounds in "
