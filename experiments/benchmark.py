@@ -310,9 +310,9 @@ def learner_flops(learner: PPO) -> float:
 def compile_times(bare: Experiment, robust: Experiment, batch: int) -> dict[str, float]:
     """Returns the s to compile filter, simulator and a filter with bounds, with an empty cache."""
     parts: dict[str, Callable[[], Any]] = {
-        "filter": partial(fast, bare.checked_filter, bare.device, batch),
+        "filter": partial(fast, bare.filter, bare.device, batch),
         "simulator": partial(bare.env(batch).compile, Compiled),
-        "filter with [uncertainty]": partial(fast, robust.checked_filter, robust.device, batch),
+        "filter with [uncertainty]": partial(fast, robust.filter, robust.device, batch),
     }
     with tempfile.TemporaryDirectory() as empty, patch.dict(os.environ, {VARIABLE: empty}):
         return {
@@ -375,8 +375,8 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
     papers = paper_filter_rates(paper, *met, typical)
     single = {
         "paper_filter_latency_ms": single_latencies(paper, *met),
-        "single_filter_latency_ms": single_latencies(experiment.checked_filter, *met),
-        "told_filter_latency_ms": single_latencies(robust.checked_filter, *robust_met),
+        "single_filter_latency_ms": single_latencies(experiment.filter, *met),
+        "told_filter_latency_ms": single_latencies(robust.filter, *robust_met),
     }
     flown = {"paper": ("1", "paper"), "edge": ("1", "edge"), "u1": ("u1", "paper")}
     random_us = {name: random_demands(named[own], where) for name, (own, where) in flown.items()}
@@ -391,9 +391,9 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
         for name, at_period in experiments.items():
             env = at_period.env(n, compiled=at_period.compiled)
             curves["closed_loop_steps_per_s", name][n] = closed_loop_rate(env, met[0], agent)
-        curves["filter_calls_per_s",][n] = filter_rate(experiment.checked_filter, *met, n)
+        curves["filter_calls_per_s",][n] = filter_rate(experiment.filter, *met, n)
         if n <= typical:
-            curves["told_filter_calls_per_s",][n] = filter_rate(robust.checked_filter, *robust_met, n)
+            curves["told_filter_calls_per_s",][n] = filter_rate(robust.filter, *robust_met, n)
         for name, spent in parts_of_a_step(experiment, n, met[0], agent).items():
             parts[name][n] = spent
 

@@ -29,7 +29,7 @@ from rta.filter import SafetyFilter
 from rta.result import FilterResult
 from settings import InputError, Parser, add_flags, configured, override, positive_integer, positive_number
 from study.config import Config
-from study.experiment import Experiment, load_policy
+from study.experiment import Experiment, check_is_checked, load_policy
 from study.files import write_json
 from study.flight.controllers import agent
 from study.flight.fly import Starts, fly
@@ -204,7 +204,8 @@ def measure(
     if policy:
         controller = agent(policy, env)
     elif demand == OPPOSITE:
-        controller = opposite(experiment.checked_filter)
+        check_is_checked(experiment.config)
+        controller = opposite(experiment.filter)
     elif demand == LOOKAHEAD:
         tried = experiment.env(episodes * CANDIDATES, None, config.rta.period, CHECK_EVERY, True)
         controller = Lookahead(env, tried, HORIZON, generator, episodes)

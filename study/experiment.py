@@ -105,12 +105,6 @@ class Experiment:
 
         return Compiled
 
-    @property
-    def checked_filter(self) -> SafetyFilter:
-        """Returns the filter; raises InputError if the filter has no check."""
-        check_is_checked(self.config)
-        return self.filter
-
     def generators(self, seeds: Sequence[int] = (0,)) -> list[torch.Generator]:
         """Returns one generator per seed, on the device."""
         return [torch.Generator(self.device).manual_seed(seed) for seed in seeds]

@@ -58,7 +58,10 @@ class Log:
             total: interactions of each seed in the end; settings: of the run, as TOML.
         """
         with leaving_it_to_the_caller():
-            self.charts = [charts_in(folder, interactions + 1) for folder in self.folders]
+            self.charts = []
+            for folder in self.folders:
+                with naming(folder):  # without points that an earlier run drew from here on
+                    self.charts.append(SummaryWriter(str(folder), purge_step=interactions + 1))
             with naming(file_of(self.charts[0])):
                 self.charts[0].add_text("config", indent(settings, "    "), interactions)  # Markdown's code
             if interactions < total:
@@ -150,12 +153,6 @@ def leaving_it_to_the_caller() -> Iterator[None]:
         yield
     finally:
         threading.excepthook = usual
-
-
-def charts_in(folder: Path, forgotten: int) -> SummaryWriter:
-    """Returns charts in a folder, without points that an earlier run drew from `forgotten` interactions on."""
-    with naming(folder):
-        return SummaryWriter(str(folder), purge_step=forgotten)
 
 
 def file_of(charts: SummaryWriter) -> str:

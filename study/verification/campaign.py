@@ -24,7 +24,7 @@ from rta.names import CONSTRAINTS
 from settings import InputError
 from study.config import Config
 from study.errors import as_input_error
-from study.experiment import Experiment, check_clocks, load_policy
+from study.experiment import Experiment, check_clocks, check_is_checked, load_policy
 from study.files import write_json, write_npz
 from study.flight.controllers import agent
 from study.flight.fly import Observer, Progress, Starts, fly
@@ -256,13 +256,14 @@ def exported(experiment: Experiment, filter_in: str) -> Safety:
     from kernels.build import NoCompilerError
     from rta.fast.loaded import InC
 
+    check_is_checked(experiment.config)
     if experiment.device.type != "cpu":
         raise InputError(f"--filter {filter_in}: runs on a CPU only; add --device cpu")
     with (
         as_input_error(f"--filter {filter_in}: cannot be compiled", NoCompilerError),
         step("compiling it, seconds"),
     ):
-        in_c = InC(experiment.checked_filter)
+        in_c = InC(experiment.filter)
     return dataclasses.replace(experiment.safety, correct=in_c.correct)
 
 
