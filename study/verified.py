@@ -35,7 +35,7 @@ LATER = {
 POLICIES = ("random", "adversarial")  # a campaign of each is required
 EPISODES = 1000  # at least
 DURATION = 2000  # s, of each episode, at least
-PAGE = "docs/guides/changed_constants.md"
+PAGE = "docs/guides/your_own_spacecraft.md"
 CHECK = "docs/reference/filter.md"
 REPORTS = "runs/verification"  # a person's own, below the working directory; shipped ones: runs/reference
 
