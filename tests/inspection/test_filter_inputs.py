@@ -27,7 +27,7 @@ class Informed:
         return SimpleNamespace(control=torch.full_like(desired, float(len(self.told))))
 
 
-def fly(plant, calls: int = CALLS, period: float = 1.0, takes_plant_data: bool = True, start: float = 0.0):
+def fly(plant, period: float = 1.0):
     """Returns the filter, and the held controls from each call on, (calls, 6, BATCH)."""
     plant.every, correct = period, Informed()
     batch = plant.mass.numel()
@@ -40,10 +40,10 @@ def fly(plant, calls: int = CALLS, period: float = 1.0, takes_plant_data: bool =
         correct,
         lambda x, u, seconds: x,
         clocks,
-        calls * period,
+        CALLS * period,
         plant,
-        moments(batch, start),
-        takes_plant_data,
+        moments(batch),
+        True,
     )
     return correct, torch.stack([hold.applied for hold in holds])
 
@@ -86,13 +86,3 @@ def test_episodes_that_begin_anew_know_of_no_earlier_control() -> None:
     others = torch.arange(1, BATCH, 2)
     counts = (~sent[:, 0, others].isnan()).sum(0)
     assert torch.equal(counts, plant.drawn.latency[others])
-
-
-def test_a_run_that_is_resumed_is_told_the_same() -> None:
-    one, other = begun(LATE, BATCH), begun(LATE, BATCH, seed=9)
-    fly(one)
-    other.load_state_dict(one.state_dict())
-    first, second = (fly(plant, start=float(CALLS))[0].told for plant in (one, other))
-    for a, b in zip(first, second, strict=True):
-        torch.testing.assert_close(a["sent"], b["sent"], rtol=0, atol=0, equal_nan=True)
-    assert not first[0]["sent"].isnan().all()

@@ -55,16 +55,6 @@ def test_lqr_gain_solves_the_riccati_equation_and_stabilises() -> None:
     np.testing.assert_allclose(b.T @ cost, gain, rtol=1e-6, atol=1e-9)
 
 
-def test_the_sun_following_ellipse_is_a_free_motion() -> None:
-    b, n, theta = Orbit().semi_minor, C.mean_motion, 0.7
-    p = torch.tensor([b * np.cos(theta), 2 * b * np.sin(theta), 0.0], dtype=torch.float64)
-    v = n * torch.tensor([b * np.sin(theta), -2 * b * np.cos(theta), 0.0], dtype=torch.float64)
-    t = torch.tensor(1500.0, dtype=torch.float64)
-    later = theta - n * t
-    expected = torch.stack((b * later.cos(), 2 * b * later.sin(), torch.zeros_like(later)))
-    torch.testing.assert_close(free_flight(p, v, t, n), expected)
-
-
 @pytest.mark.parametrize("a", [0.0, 30.0])
 def test_natural_motion_needs_no_thrust_on_its_ellipse_whose_drift_never_ends_in_the_chief(a: float) -> None:
     x = at_rest()

@@ -40,14 +40,6 @@ def test_uniform_over_the_papers_range(sample, quantity, low, high):
     assert (fraction - uniform).abs().max() < 1.95 / math.sqrt(20_000)  # Kolmogorov-Smirnov at 0.1 %
 
 
-def test_only_safe_attitudes_are_drawn_and_nothing_else_changes(c):
-    free, priority = sample_initial_state(200, seeded(2), c)
-    safe, same_priority = sample_initial_state(200, seeded(2), c, lambda x: x[Q][3] > 0.5)
-    assert (safe[Q][3] > 0.5).all() and not (free[Q][3] > 0.5).all()
-    others = [*range(6), *range(10, 16)]
-    assert torch.equal(safe[others], free[others]) and torch.equal(priority, same_priority)
-
-
 def test_states_without_a_safe_attitude_are_redrawn_as_a_whole(c):
     def is_safe(x):
         return (x[0] > 0.0) & (x[Q][3] > 0.5)

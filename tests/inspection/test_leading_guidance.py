@@ -47,33 +47,21 @@ def test_the_phase_leads_the_sun_by_what_the_score_says(score: float, degrees: i
     assert control(0.0, on_ellipse(orbit, theta - math.radians(degrees + 1), theta))[:3].abs().max() > 1e-4
 
 
-def around_the_chief(count: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Positions (3, count) 50 to 150 m from the chief, and the phases that are wanted there."""
-    draws = torch.Generator().manual_seed(0)
-    away = 50.0 + 100.0 * torch.rand(count, generator=draws, dtype=torch.float64)
-    p = unit(torch.randn(3, count, generator=draws, dtype=torch.float64)) * away
-    return p, 2.0 * math.pi * torch.rand(count, generator=draws, dtype=torch.float64)
-
-
-def shrunk(p: torch.Tensor) -> torch.Tensor:
-    """Returns the direction from the chief where the ellipse is a circle, (3, ...)."""
-    return unit(torch.stack((p[0], p[1] / 2, p[2])))
-
-
 def test_the_way_leads_along_a_great_circle_to_the_ellipse() -> None:
-    orbit, n = GUIDANCE["quick"], C.mean_motion
-    p, wanted = around_the_chief(1000)
+    orbit, n, draws = GUIDANCE["quick"], C.mean_motion, torch.Generator().manual_seed(0)
+    away = 50.0 + 100.0 * torch.rand(1000, generator=draws, dtype=torch.float64)
+    p = unit(torch.randn(3, 1000, generator=draws, dtype=torch.float64)) * away
+    wanted = 2.0 * math.pi * torch.rand(1000, generator=draws, dtype=torch.float64)
     aim, velocity = guidance.target_on_great_circle(p, wanted, orbit, n)
     ends = [on_ellipse(orbit, phase, 0.0) for phase in wanted.tolist()]
     end, moving = (torch.cat([x[part] for x in ends], 1) for part in (P, V))
-    here, there, to = shrunk(p), shrunk(end), shrunk(aim)
+    # directions from the chief where the ellipse is a circle
+    here, there, to = (unit(torch.stack((x, y / 2, z))) for x, y, z in (p, end, aim))
     angle, ahead, left = (
         dot(*pair).clamp(-1.0, 1.0).arccos() for pair in ((here, there), (here, to), (to, there))
     )
     torch.testing.assert_close(ahead, angle.clamp(max=orbit.look_ahead), rtol=1e-6, atol=1e-6)
-    torch.testing.assert_close(
-        left, angle - ahead, rtol=1e-5, atol=1e-5
-    )  # between the two, so on their circle
+    torch.testing.assert_close(left, angle - ahead, rtol=1e-5, atol=1e-5)  # on the circle between the two
     arrived = angle < orbit.look_ahead
     assert 100 < arrived.sum() < 900
     torch.testing.assert_close(aim[:, arrived], end[:, arrived])
@@ -102,21 +90,18 @@ def test_the_camera_is_on_the_chief_as_far_as_the_battery_allows() -> None:
         math.acos(15.0 / (983.3 * 0.77 * 0.03))
     )  # the panels make 15 W so far off the Sun
     for angle, tilt in ((0, 0.0), (45, 0.0), (60, 60 - balanced), (80, 18.0)):  # of a full battery
-        off_chief, off_sun = seen_from(angle, 7.0)
-        assert (off_chief, off_sun) == pytest.approx((tilt, 180 - angle + tilt), abs=1e-4)
+        assert seen_from(angle, 7.0) == pytest.approx((tilt, 180 - angle + tilt), abs=1e-4)
     # half a turn takes 90 s and 1.35 kJ, and moves the limit by 0.16 kJ: in all 1.51 kJ above 1 kJ
-    assert [*seen_from(80, 2.5)] == pytest.approx((80.0, 180.0), abs=1e-4)
+    assert seen_from(80, 2.5) == pytest.approx((80.0, 180.0), abs=1e-4)
     off_chief, _ = seen_from(80, 1.0 + 2 * 1.507)  # half way to that
     assert off_chief == pytest.approx(80 - balanced / 2, abs=0.1)
-    assert [*seen_from(120, 7.0)] == pytest.approx(
-        (120.0, 180.0), abs=1e-4
-    )  # nothing of the dark side can be seen
-    assert [*seen_from(60, 7.0, sun_to_camera=50)] == pytest.approx(
-        (60.0, 180.0), abs=1e-4
-    )  # and not past the Sun
+    # nothing of the dark side can be seen
+    assert seen_from(120, 7.0) == pytest.approx((120.0, 180.0), abs=1e-4)
+    # and not past the Sun
+    assert seen_from(60, 7.0, sun_to_camera=50) == pytest.approx((60.0, 180.0), abs=1e-4)
 
 
-@pytest.mark.parametrize("every", [1.0, 10.0])
+@pytest.mark.parametrize("every", [pytest.param(1.0, marks=pytest.mark.campaign), 10.0])
 @pytest.mark.parametrize("turned", [pytest.param(60.0, marks=pytest.mark.campaign), 178.0])
 def test_a_camera_that_looks_the_other_way_turns_in_time_and_the_thermal_side_to_the_shade(
     turned: float, every: float
@@ -132,7 +117,7 @@ def test_a_camera_that_looks_the_other_way_turns_in_time_and_the_thermal_side_to
     for _ in range(round(600 / every)):
         u = torch.cat((torch.zeros(3, 1).double(), guidance.pointing_torque(x, direction, sun, C, frequency)))
         limit = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
-        u = torch.maximum(torch.minimum(u, limit), -limit)
+        u = u.clamp(-limit, limit)
         for _ in range(round(every)):
             x = step(x, u, 1.0, replace(C, saturate_rates=False))
             fastest = max(fastest, x[OMEGA].abs().max().item())
@@ -146,35 +131,23 @@ def test_a_camera_that_looks_the_other_way_turns_in_time_and_the_thermal_side_to
     assert fastest < C.max_rate
 
 
-def held(x: torch.Tensor, thrust: torch.Tensor, every: float, times: int) -> tuple[torch.Tensor, float]:
-    """Returns the state after holds of `look` along +x of Hill with desired thrust, and the fastest body rate."""
-    direction = torch.eye(3, dtype=torch.float64)[:, :1].expand(-1, x.shape[1])
-    limit = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
-    fastest, unsaturated = 0.0, replace(C, saturate_rates=False)
-    for _ in range(times):
-        frequency = guidance.pointing_frequency(every)
-        torque = guidance.pointing_torque(x, direction, sun_direction(x[THETA_S]), C, frequency, thrust)
-        u = torch.maximum(torch.minimum(torch.cat((torch.zeros_like(torque), torque)), limit), -limit)
-        for _ in range(math.ceil(every / 5.0)):
-            x = step(x, u, every / math.ceil(every / 5.0), unsaturated)
-            fastest = max(fastest, x[OMEGA].abs().max().item())
-    return x, fastest
-
-
-def across(degrees: torch.Tensor, size: float, temperature: float = 5.0) -> tuple[torch.Tensor, torch.Tensor]:
-    """Returns states with axes along Hill's, and thrust at angles (B,) from y to z, equally large along the camera."""
-    x = torch.zeros(SIZE, len(degrees), dtype=torch.float64)
-    x[Q.start + 3], x[E], x[T], x[THETA_S] = 1.0, 6.0, temperature, math.radians(100)
-    radians = degrees.double().deg2rad()
-    return x, size * torch.stack((torch.ones_like(radians), radians.cos(), radians.sin()))
-
-
-@pytest.mark.parametrize("every", [1.0, 3.0, 10.0, 30.0])
+@pytest.mark.parametrize("every", [1.0, 30.0])
 def test_the_nearest_body_axis_rolls_to_the_thrust_and_the_camera_stays(every: float) -> None:
     degrees = torch.tensor([-170.0, -130.0, -100.0, -50.0, -20.0, 5.0, 40.0, 50.0, 85.0, 140.0])
-    x, thrust = across(degrees, 0.05)
-    x, fastest = held(x, thrust, every, max(60, round(200 / every)))
-    camera, y = (rotate(x[Q], torch.eye(3, dtype=torch.float64)[:, [i]]) for i in (0, 1))
+    radians, axes = degrees.double().deg2rad(), torch.eye(3, dtype=torch.float64)
+    x = torch.zeros(SIZE, len(degrees), dtype=torch.float64)
+    x[Q.start + 3], x[E], x[T], x[THETA_S] = 1.0, 6.0, 5.0, math.radians(100)
+    direction, limit = axes[:, :1].expand(-1, len(degrees)), torch.tensor(C.control_limit).double()[:, None]
+    thrust = 0.05 * torch.stack((torch.ones_like(radians), radians.cos(), radians.sin()))
+    frequency, steps = guidance.pointing_frequency(every), math.ceil(every / 5.0)
+    fastest, unsaturated = 0.0, replace(C, saturate_rates=False)
+    for _ in range(max(60, round(200 / every))):
+        torque = guidance.pointing_torque(x, direction, sun_direction(x[THETA_S]), C, frequency, thrust)
+        u = torch.cat((torch.zeros_like(torque), torque)).clamp(-limit, limit)
+        for _ in range(steps):
+            x = step(x, u, every / steps, unsaturated)
+            fastest = max(fastest, x[OMEGA].abs().max().item())
+    camera, y = (rotate(x[Q], axes[:, [i]]) for i in (0, 1))
     rolled = torch.atan2(y[2], y[1]).rad2deg()
     nearest = (degrees / 90).round() * 90
     torch.testing.assert_close(rolled, (degrees - nearest).double(), atol=0.1, rtol=0.0)

@@ -10,13 +10,13 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from inspection.model.parameters import OBSERVABLE, OBSERVED
+from inspection.model.parameters import OBSERVABLE
 from inspection.model.state import E, P, Q, V
 from inspection.observation import components, observe, scales
 from inspection.reward import PHASES, distance_from_track, rewards
 from inspection.termination import OUTCOMES, ends, failures
+from tests.inspection.model.test_dynamics import A, N
 
-AT_THE_END = ("success", "crash", "distance", "energy")
 ENDS = ("crash", "out_of_bounds", "out_of_power", "success", "timeout")
 
 # The 26 observations, recomputed one spacecraft at a time
@@ -98,70 +98,51 @@ def terms(c, x=None, new_score=0.0, delta_v=0.0, torque=0.0, time=10.0, ended=()
 
 def drifting(days):
     """Returns the state after (negative: before) passing the chief's centre at 2 mm/s, drifting 37 m an orbit."""
-    n = 0.001027
-    A = np.zeros((6, 6))
-    A[:3, 3:] = np.eye(3)
-    A[3, 0], A[3, 4], A[4, 3], A[5, 2] = 3 * n**2, 2 * n, -2 * n, -(n**2)
     state = expm(A * days * 86400.0) @ [0.0, 0.0, 0.0, 0.0, 0.002, 0.0]
     return at(state[:3], state[3:])
 
 
-def test_points_earn_their_weight(c):
-    assert terms(c, new_score=0.0375)["points"] == 0.0375
-
-
-def test_delta_v_costs_two_hundredths_per_metre_per_second(c):
-    assert terms(c, delta_v=2.5)["delta_v"] == pytest.approx(-0.05)
-
-
-def test_torque_costs_a_tenth_per_newton_metre(c):
-    assert terms(c, torque=0.003)["torque"] == pytest.approx(-0.0003)
+def test_points_and_time_are_paid_and_thrust_and_torque_cost(c):
+    found = terms(c, new_score=0.0375, delta_v=2.5, torque=0.003)
+    assert found["points"] == 0.0375
+    assert found["delta_v"] == pytest.approx(-0.05)  # two hundredths per m/s
+    assert found["torque"] == pytest.approx(-0.0003)  # a tenth per N m
+    assert [terms(c, time=time)["time"] for time in (10.0, 3000.0, 3010.0)] == [0.001, 0.001, 0.0]
 
 
 @pytest.mark.parametrize(
     ("yaw", "expected"),  # the cosine between boresight and chief is -cos(yaw) for a deputy on +x
     [
         (math.pi, 0.0005),
-        (math.radians(120), 0.0005 * math.exp(-0.5 / 0.15)),
         (math.radians(135), 0.0005 * math.exp(-(1 - math.sqrt(0.5)) / 0.15)),
         (math.radians(90.1), 0.0005 * math.exp(-(1 - 0.00174533) / 0.15)),
         (math.radians(89.9), 0.0),
-        (0.0, 0.0),
     ],
 )
 def test_orientation_decays_with_misalignment(c, yaw, expected):
-    assert terms(c, at((60.0, 0.0, 0.0), yaw=yaw))["orientation"] == pytest.approx(
-        expected, rel=1e-6, abs=1e-12
-    )
+    found = terms(c, at((60.0, 0.0, 0.0), yaw=yaw))["orientation"]
+    assert found == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
-@pytest.mark.parametrize(("time", "expected"), [(10.0, 0.001), (3000.0, 0.001), (3010.0, 0.0)])
-def test_time_is_paid_until_3000_s(c, time, expected):
-    assert terms(c, time=time)["time"] == expected
+B = 40.0  # m
 
 
-def test_success_is_rewarded_when_coasting_stays_clear_of_the_chief(c):
-    in_track = at((0.0, 60.0, 0.0))  # an equilibrium of the Clohessy-Wiltshire equations
-    n, b = c.mean_motion, 40.0
-    ellipse = at((b, 0.0, 0.0), (0.0, -2 * n * b, 0.0))  # closed, never nearer than 40 m
-    assert terms(c, in_track, ended={"success"})["success"] == 1.0
-    assert terms(c, ellipse, ended={"success"})["success"] == 1.0
-
-
-def test_success_is_punished_when_coasting_returns_to_the_chief(c):
-    leaving = at((0.0, 0.0, 60.0), (0.0, 0.0, 0.05))  # z'' = -n^2 z brings it back to the origin
-    assert terms(c, leaving, ended={"success"})["success"] == -1.0
-
-
-@pytest.mark.parametrize(("days", "expected"), [(-1.0, -1.0), (-1.99, -1.0), (-2.2, 1.0), (1.0, 1.0)])
-def test_success_looks_two_days_ahead(c, days, expected):
-    assert terms(c, drifting(days), ended={"success"})["success"] == expected
-
-
-def test_success_uses_both_radii(c):
-    in_track = at((0.0, 14.5, 0.0))
-    assert terms(c, in_track, ended={"success"})["success"] == -1.0
-    assert terms(replace(c, deputy_radius=4.0), in_track, ended={"success"})["success"] == 1.0
+@pytest.mark.parametrize(
+    ("x", "changed", "expected"),
+    [
+        (at((0.0, 60.0, 0.0)), {}, 1.0),  # an equilibrium of the Clohessy-Wiltshire equations
+        (at((B, 0.0, 0.0), (0.0, -2 * N * B, 0.0)), {}, 1.0),  # a closed ellipse, never nearer than 40 m
+        (at((0.0, 0.0, 60.0), (0.0, 0.0, 0.05)), {}, -1.0),  # z'' = -n^2 z brings it back to the origin
+        (at((0.0, 14.5, 0.0)), {}, -1.0),
+        (at((0.0, 14.5, 0.0)), {"deputy_radius": 4.0}, 1.0),
+        (drifting(-1.0), {}, -1.0),
+        (drifting(-1.99), {}, -1.0),
+        (drifting(-2.2), {}, 1.0),
+        (drifting(1.0), {}, 1.0),
+    ],
+)
+def test_success_is_rewarded_where_coasting_stays_clear_of_the_chief_for_two_days(c, x, changed, expected):
+    assert terms(replace(c, **changed), x, ended={"success"})["success"] == expected
 
 
 @pytest.mark.parametrize(
@@ -170,14 +151,10 @@ def test_success_uses_both_radii(c):
 def test_a_failure_costs_one(c, term, end):
     failed = terms(c, ended={end})
     assert failed[term] == -1.0
-    assert sum(failed[name] for name in AT_THE_END) == -1.0
+    assert sum(failed[name] for name in ("success", "crash", "distance", "energy")) == -1.0
 
 
 # The five terminal conditions
-
-
-def test_ends_are_named_in_the_order_of_their_priority():
-    assert OUTCOMES == ENDS
 
 
 @pytest.mark.parametrize(
@@ -192,6 +169,7 @@ def test_ends_are_named_in_the_order_of_their_priority():
 def test_thresholds_are_the_tasks_constants(c, changed, end):
     x = at((0.0, 60.0, 0.0))
     x[E] = 5.0
+    assert OUTCOMES == ENDS  # in the order of their priority
 
     def found_by(c):
         return failures(x, c) | ends(as_column([0.5]), as_column([100.0]), c)
@@ -203,23 +181,20 @@ def test_thresholds_are_the_tasks_constants(c, changed, end):
 
 def test_free_flight_is_seen_where_an_integrated_one_passes_the_chief(c, random_states, generator):
     """Within 500 s, and within 40,000 s, over which it drifts along the track."""
-    x, *rest = draw(random_states, generator, 20)
+    x, *rest = draw(random_states, generator, 10)
     x[P] *= 0.4
     x[V] *= 0.03
-    n = c.mean_motion
-
-    def coast(t, s):
-        return [*s[3:], 3 * n**2 * s[0] + 2 * n * s[4], -2 * n * s[3], -(n**2) * s[2]]
-
     c = replace(c, observed=("free_flight",), free_flight_horizon=40_000.0)
     seen = observe(x, *rest, c)
-    lengths = seen.reshape(2, 3, 20).norm(dim=1)
+    lengths = seen.reshape(2, 3, 10).norm(dim=1)
     assert (lengths > 0.9).any() and (lengths < 0.2).any()
-    for i in range(20):
+    for i in range(10):
         start, to_body = torch.cat((x[P, i], x[V, i])).numpy(), Rotation.from_quat(x[Q, i].numpy()).inv()
         for horizon, row in ((500.0, seen[:3, i]), (40_000.0, seen[3:, i])):
             times = np.linspace(0.0, horizon, round(2 * horizon) + 1)
-            path = solve_ivp(coast, (0.0, horizon), start, t_eval=times, rtol=1e-10, atol=1e-10).y[:3]
+            path = solve_ivp(
+                lambda _, s: A @ s, (0.0, horizon), start, t_eval=times, rtol=1e-10, atol=1e-10
+            ).y[:3]
             distance = np.linalg.norm(path, axis=0)
             assert 15.0 / row.norm() == pytest.approx(max(distance.min(), 7.5), abs=1.0)
             towards = to_body.inv().apply(row.numpy() / row.norm().item())
@@ -230,16 +205,11 @@ def test_free_flight_is_seen_where_an_integrated_one_passes_the_chief(c, random_
 def test_the_distance_from_the_track_is_that_of_three_integrated_orbits(c, random_states):
     x = random_states(20)
     x[V] *= 0.1
-    n = c.mean_motion
-
-    def coast(t, s):
-        return [*s[3:], 3 * n**2 * s[0] + 2 * n * s[4], -2 * n * s[3], -(n**2) * s[2]]
-
     found = distance_from_track(x, c)
     for i in range(20):
-        start, orbit = torch.cat((x[P, i], x[V, i])).numpy(), 2 * math.pi / n
+        start, orbit = torch.cat((x[P, i], x[V, i])).numpy(), 2 * math.pi / N
         times = np.linspace(0.0, 3 * orbit, 9001)
-        path = solve_ivp(coast, (0.0, 3 * orbit), start, t_eval=times, rtol=1e-10, atol=1e-10).y
+        path = solve_ivp(lambda _, s: A @ s, (0.0, 3 * orbit), start, t_eval=times, rtol=1e-10, atol=1e-10).y
         assert np.ptp(path[1]) > 10.0  # it drifts along the line all the while
         across = np.hypot(path[0], path[2])
         fastest = np.hypot(path[3], path[5]).max()
@@ -257,9 +227,7 @@ def test_groups_are_left_out_or_added_whatever_order_they_are_named_in(c, random
     for row, name in zip(observe(*arguments, replace(c, observed=chosen)), few, strict=True):
         assert torch.equal(row, everything[name])
     assert torch.equal(observe(*arguments, c), torch.stack(list(everything.values())[:26]))
-    assert scales(arguments[0], replace(c, observed=chosen)).shape == (11, 1) and set(OBSERVED) < set(
-        OBSERVABLE
-    )
+    assert scales(arguments[0], replace(c, observed=chosen)).shape == (11, 1)
 
 
 def test_the_axes_of_hills_frame_are_seen_in_the_body_frame(c, random_states, generator):

@@ -44,11 +44,6 @@ def test_moments_are_sums_over_the_points_left_in_a_frame_that_faces_the_sun(tur
             left = [a + b for a, b in zip(left, [w, *waves, w * height, w * height**2], strict=True)]
         assert shown[: len(left), column].tolist() == pytest.approx(left, abs=1e-12)
         assert left[0] == pytest.approx(1.0 - env.sight.score()[column].item())
-
-
-@pytest.mark.parametrize("turns", [False, True])
-def test_columns_are_rows_of_the_whole_and_have_their_own_time(turns: bool) -> None:
-    env = environment(ChiefParameters(rate=(1.0, 2.0, 0.5)) if turns else None)
     env.time += 10.0 * torch.arange(4.0)
     whole = env.observation()
     assert torch.equal(env.observation(columns=torch.tensor([2, 0])), whole[[2, 0]])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from inspection.model.state import Q, T, V
+from inspection.model.state import Q, V
 from interfaces import RunTimeAssurance, VectorRunTimeAssurance
 from settings import InputError, load
 from study.config import Config
@@ -65,13 +65,12 @@ def test_only_the_episodes_of_the_mask_begin_anew(behind_filter, config):
 def test_given_starts_are_flown_from(behind_filter):
     x, priority = start()
     env = made(behind_filter)
-    env.reset(options={"state": x, "priority": 3.0 * priority})
-    simulator = env.unwrapped.simulator
-    np.testing.assert_allclose(simulator.x.T, x, rtol=0.0, atol=1e-15)
-    np.testing.assert_allclose(simulator.sight.priority.T, priority, rtol=0.0, atol=1e-15)
-    env.reset(options={"state": torch.from_numpy(x[0]), "priority": priority[0].tolist()})
-    np.testing.assert_allclose(simulator.x.T, x[[0] * EPISODES], rtol=0.0, atol=1e-15)
-    np.testing.assert_allclose(simulator.sight.priority.T, priority[[0] * EPISODES], rtol=0.0, atol=1e-15)
+    one = {"state": torch.from_numpy(x[0]), "priority": priority[0].tolist()}
+    for options, rows in (({"state": x, "priority": 3.0 * priority}, [0, 1, 2]), (one, [0, 0, 0])):
+        env.reset(options=options)
+        simulator = env.unwrapped.simulator
+        np.testing.assert_allclose(simulator.x.T, x[rows], rtol=0.0, atol=1e-15)
+        np.testing.assert_allclose(simulator.sight.priority.T, priority[rows], rtol=0.0, atol=1e-15)
 
 
 @pytest.mark.parametrize("name", ["state", "priority"])
@@ -99,11 +98,10 @@ def test_the_single_form_takes_a_start_behind_the_filter_too():
             env.reset(options={"reset_mask": np.array([True])})
 
 
-@pytest.mark.parametrize("mode", ["sync", "async"])
-def test_gymnasiums_own_vector_forms_pass_them_on(mode):
+def test_gymnasiums_own_vector_forms_pass_them_on():
     x, _ = start(1)
     x[:, V] = 0.0
-    env = gymnasium.make_vec(ID, num_envs=EPISODES, vectorization_mode=mode)
+    env = gymnasium.make_vec(ID, num_envs=EPISODES, vectorization_mode="async")
     alike = env.reset(seed=SEED, options={"state": x[0]})[0]
     before = flown(env, 1)[0]
     after = env.reset(options={"state": x[0], "reset_mask": MIDDLE})[0]
@@ -137,17 +135,13 @@ def spoilt(part, value, row=1):
     [
         ([], r"options = \[\]: must be a dictionary of reset_mask, state, priority"),
         ({"reset_masks": MIDDLE}, "unknown 'reset_masks'; did you mean reset_mask?"),
-        ({3: MIDDLE}, "unknown 3; allowed are reset_mask, state, priority"),
         ({"reset_mask": [1, 0, 0]}, r"reset_mask of shape \(3,\) and type int64: must be \(3,\) bool"),
-        ({"reset_mask": MIDDLE[:2]}, r"reset_mask of shape \(2,\) and type bool: must be \(3,\) bool"),
         ({"reset_mask": True}, r"reset_mask of shape \(\) and type bool: must be \(3,\) bool"),
-        ({"reset_mask": None}, r"reset_mask of shape \(\) and type object: must be \(3,\) bool"),
         ({"reset_mask": ~(MIDDLE | True)}, "reset_mask is nowhere true"),
         ({"state": np.zeros((16, 3))}, r"state of shape \(16, 3\): must be \(16,\) or \(3, 16\)"),
         ({"state": "rest"}, "options: state: must be a NumPy array, a PyTorch tensor or a list"),
         ({"state": spoilt(0, math.nan)}, "state: state in row 1: must be finite"),
         ({"state": spoilt(Q, 0.9)}, r"state: quaternion in row 1: must have length 1 \(scalar last\)"),
-        ({"state": spoilt(T, -300.0)}, "state: temperature in row 1: must be above"),
         ({"priority": np.ones(4)}, r"priority of shape \(4,\): must be \(3,\) or \(3, 3\)"),
         ({"priority": np.zeros(3)}, "priority in row 0: must be finite, not zero"),
         ({"priority": [[1, 0, 0], [1, math.inf, 0], [1, 0, 0]]}, "priority in row 1: must be finite"),

@@ -2,11 +2,9 @@
 
 import copy
 
-import pytest
 import torch
 
 from ppo.divergence import KLPrice, divergence
-from ppo.learner import PPO
 from tests.ppo.test_learner import ONE_MINIBATCH, batch_of, gradients, learner, replace
 
 
@@ -25,13 +23,9 @@ def test_the_price_rises_beyond_twice_the_target_and_falls_below_half_of_it() ->
     torch.testing.assert_close(price.value, torch.tensor([0.3, 0.2, 0.2, 0.2, 0.1]))
 
 
-def priced(**parameters: float) -> PPO:
-    return learner((1, 2), replace(ONE_MINIBATCH, **parameters))
-
-
 def test_the_price_adds_its_divergence_to_the_loss() -> None:
     """After a first step, the gradients differ from those without a price by the price times the divergence's."""
-    plain, with_price = priced(), priced(kl_price=3.0)
+    plain, with_price = (learner((1, 2), replace(ONE_MINIBATCH, kl_price=price)) for price in (0.0, 3.0))
     batch = batch_of(plain)
     old = [part.detach() for part in plain.policy(batch["observation"])]
     for ppo in (plain, with_price):
@@ -57,13 +51,3 @@ def test_an_update_says_its_divergence_and_answers_it() -> None:
     assert (statistics["kl"] > 1e-6).all()
     torch.testing.assert_close(statistics["kl_price"], torch.full((2,), 0.2))
     torch.testing.assert_close(ppo.update(batch_of(ppo), 0.0)["kl_price"], torch.full((2,), 0.3))
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_each_seed_has_its_own_price(seed: int) -> None:
-    parameters = replace(ONE_MINIBATCH, epochs=5, kl_price=0.2, kl_target=1e-3, learning_rate=1e-2)
-    together, alone = learner((4, 9), parameters), learner(((4, 9)[seed],), parameters)
-    batch, own = batch_of(together), batch_of(alone)
-    for _ in range(3):
-        both, one = together.update(batch, 0.0), alone.update(own, 0.0)
-        torch.testing.assert_close(both["kl_price"][seed : seed + 1], one["kl_price"])

@@ -37,14 +37,6 @@ def test_hand_computed_termination_and_truncation() -> None:
     assert return_.tolist() == [[2.5, 3.75], [2.0, 7.0], [7.0, 7.0]]
 
 
-def test_lambda_zero_is_the_one_step_error() -> None:
-    data = trajectory()
-    advantage, return_ = generalized_advantage(**data, gamma=0.9, lam=0.0)
-    target = data["reward"] + 0.9 * data["next_value"] * ~data["terminated"]
-    torch.testing.assert_close(advantage, target - data["value"])
-    torch.testing.assert_close(return_, target)
-
-
 def test_lambda_one_is_the_discounted_return_with_bootstrap() -> None:
     data = trajectory()
     data["next_value"] = torch.where(data["done"], data["next_value"], data["value"].roll(-1, 0))

@@ -65,16 +65,18 @@ def test_compiled_updates_equal_the_others() -> None:
 
 
 def test_stacked_seeds_equal_each_seed_alone() -> None:
-    parameters = PPOParameters(epochs=3, minibatch_size=16)
+    """Each with its own price of the divergence."""
+    parameters = PPOParameters(epochs=3, minibatch_size=16, kl_price=0.2, kl_target=1e-3, learning_rate=1e-2)
     together = learner((4, 9), parameters)
     batch = batch_of(together, 70)
-    statistics = together.update(batch, 0.25)
+    statistics = [together.update(batch, 0.25) for _ in range(3)]
     for k, seed in enumerate((4, 9)):
         alone = learner((seed,), parameters)
         own = batch_of(alone, 70)
         torch.testing.assert_close(seed_of(batch, k), own)
-        torch.testing.assert_close(seed_of(statistics, k), alone.update(own, 0.25), rtol=1e-4, atol=1e-6)
-        torch.testing.assert_close(seed_of(weights(together), k), weights(alone), rtol=1e-4, atol=1e-6)
+        for both in statistics:
+            torch.testing.assert_close(seed_of(both, k), alone.update(own, 0.25), rtol=1e-3, atol=1e-5)
+        torch.testing.assert_close(seed_of(weights(together), k), weights(alone), rtol=1e-3, atol=1e-5)
 
 
 def test_first_minibatch_starts_at_ratio_one() -> None:
@@ -172,22 +174,19 @@ def test_minibatches_are_equal_and_never_repeat_a_sample(samples: int, size: int
     assert not torch.equal(index[0], index[1] - samples)
 
 
-def test_learning_rate_anneals_to_zero() -> None:
-    ppo = learner((1,), PPOParameters(epochs=1, minibatch_size=16))
-    before = copy.deepcopy(weights(ppo))
-    ppo.update(batch_of(ppo), 1.0)
-    torch.testing.assert_close(weights(ppo), before, rtol=0.0, atol=0.0)
-    with pytest.raises(ValueError, match=r"progress is 1\.5"):
-        ppo.update(batch_of(ppo), 1.5)
-
-
-def test_a_constant_learning_rate_does_not_anneal() -> None:
-    ppo = learner((1,), PPOParameters(epochs=1, minibatch_size=16, anneal=False, learning_rate=1e-3))
+@pytest.mark.parametrize(("anneal", "expected"), [(True, [1e-3, 5e-4, 0.0]), (False, [1e-3] * 3)])
+def test_the_learning_rate_anneals_to_zero_if_asked_to(anneal: bool, expected: list[float]) -> None:
+    ppo = learner((1,), PPOParameters(epochs=1, minibatch_size=16, anneal=anneal, learning_rate=1e-3))
     rates = []
     for progress in (0.0, 0.5, 1.0):
+        before = copy.deepcopy(weights(ppo))
         ppo.update(batch_of(ppo), progress)
         rates.append(ppo.optimiser.param_groups[0]["lr"])
-    assert rates == [1e-3] * 3
+        stays = all(torch.equal(weight, before[name]) for name, weight in weights(ppo).items())
+        assert stays == (rates[-1] == 0.0)
+    assert rates == expected
+    with pytest.raises(ValueError, match=r"progress is 1\.5"):
+        ppo.update(batch_of(ppo), 1.5)
 
 
 def test_a_value_error_beyond_the_clip_teaches_nothing() -> None:
@@ -205,9 +204,8 @@ def test_a_value_error_beyond_the_clip_teaches_nothing() -> None:
         torch.testing.assert_close(weight.grad, gradient)
 
 
-@pytest.mark.parametrize("kl_price", [0.0, 0.2])
-def test_resumed_training_is_bit_identical(kl_price: float) -> None:
-    parameters = PPOParameters(epochs=2, minibatch_size=16, kl_price=kl_price, kl_target=1e-4)
+def test_resumed_training_is_bit_identical() -> None:
+    parameters = PPOParameters(epochs=2, minibatch_size=16, kl_price=0.2, kl_target=1e-4)
     ppo, resumed = learner((1, 2), parameters), learner((3, 4), parameters)
     ppo.update(batch_of(ppo), 0.0)
     file = io.BytesIO()
@@ -223,7 +221,7 @@ def test_resumed_training_is_bit_identical(kl_price: float) -> None:
     torch.testing.assert_close(weights(resumed), weights(ppo), rtol=0.0, atol=0.0)
 
 
-@pytest.mark.parametrize("name", ["observation", "action", "log_prob", "advantage", "return_"])
+@pytest.mark.parametrize("name", ["observation", "return_"])
 def test_nan_in_the_batch_is_named(name: str) -> None:
     ppo = learner((1, 2), PPOParameters(epochs=2, minibatch_size=16))
     batch = batch_of(ppo)

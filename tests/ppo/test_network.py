@@ -77,7 +77,7 @@ def test_sample_has_the_mean_and_std_of_the_policy() -> None:
     torch.testing.assert_close(action.std(1, keepdim=True), std, rtol=0.03, atol=0.0)
 
 
-@pytest.mark.parametrize("std", [0.05, 0.5, 0.9])
+@pytest.mark.parametrize("std", [0.05, 0.9])
 def test_initial_std_and_mean_at_zero_observation(std: float) -> None:
     mean, log_std = Policy(26, 6, generators(*SEEDS), initial_std=std)(torch.zeros(3, 1, 26))
     torch.testing.assert_close(log_std.exp(), torch.full((3, 1, 6), std))
@@ -102,18 +102,15 @@ def test_a_linear_last_layer_is_cut_off_at_the_bounds() -> None:
     assert torch.equal(policy.mean_action(x), mean.clamp(-1.0, 1.0))
 
 
-def shaped(actions: list[float], power: float) -> list[float]:
-    policy = Policy(2, 1, generators(1), power=power)
-    return policy.shaped(torch.tensor(actions)).tolist()
-
-
 def test_actions_are_shaped_by_hand() -> None:
-    actions = [-3.0, -1.0, -0.5, -0.1, 0.0, 0.1, 0.5, 1.0]
-    assert shaped(actions, 1.0) == torch.tensor(actions).tolist()  # as they are, to the bit
-    assert shaped(actions, 2.0) == pytest.approx([-1.0, -1.0, -0.25, -0.01, 0.0, 0.01, 0.25, 1.0])
+    policy, actions = excited_policy(), torch.tensor([-3.0, -1.0, -0.5, -0.1, 0.0, 0.1, 0.5, 1.0])
+    assert torch.equal(policy.shaped(actions), actions)
+    policy.power = 2.0
+    squares = torch.tensor([-1.0, -1.0, -0.25, -0.01, 0.0, 0.01, 0.25, 1.0])
+    torch.testing.assert_close(policy.shaped(actions), squares)
 
 
-@pytest.mark.parametrize("power", [1.0, 2.0, 1.5, 3.0])
+@pytest.mark.parametrize("power", [1.0, 1.5])
 def test_what_a_control_is_made_of_becomes_it_again(power: float) -> None:
     policy = excited_policy()
     policy.power = power

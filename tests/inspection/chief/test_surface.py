@@ -180,16 +180,13 @@ def test_points_weigh_by_their_areas_and_their_angle_to_the_priority(tmp_path) -
         ({"triangles": 30.0 * np.eye(3)[None]}, "must lie within chief_radius, 10 m"),
         ({"triangles": 3e3 * np.eye(3)[None]}, "(is it in mm?)"),
         ({"points": np.eye(3), "normals": np.eye(3)}, "needs triangles, or points, normals and areas"),
-        ({"points": np.eye(3), "normals": np.eye(3), "areas": np.ones(2)}, "areas (N,)"),
-        ({"points": np.eye(3), "normals": np.eye(3), "areas": np.zeros(3)}, "areas must not be"),
         (
-            {"points": np.eye(3), "normals": np.eye(3), "areas": np.array([1.0, 2.0, -1.0])},
+            {"points": np.eye(3), "normals": np.eye(3), "areas": np.arange(-1.0, 4.0, 2.0)},
             "areas must not be",
         ),
         ({"points": np.eye(3), "normals": 0 * np.eye(3), "areas": np.ones(3)}, "normals not zero"),
         ({"triangles": np.full((1, 3, 3), np.nan)}, "finite numbers only"),
         ({"points": np.ones(3), "normals": np.ones(3), "areas": np.array(1.0)}, "points must be (N, 3)"),
-        ({"points": np.array(1.0), "normals": np.eye(3), "areas": np.ones(3)}, "points must be (N, 3)"),
         ({"points": np.eye(3), "normals": np.eye(3), "areas": np.eye(3)}, "areas must be (N,)"),
         ({"points": np.eye(3), "normals": np.eye(3), "areas": np.full(3, 1e308)}, "areas must not be"),
         ({"triangles": np.zeros((20_001, 3, 3))}, "at most 20,000"),
@@ -217,6 +214,13 @@ def stl_binary(head: bytes = b"") -> bytes:
     return head.ljust(80, b" ") + np.uint32(len(BOX)).tobytes() + record.tobytes()
 
 
+def exported(kind: str, **options: str) -> bytes:
+    """Returns the box as trimesh writes it."""
+    mesh = trimesh.Trimesh(BOX.reshape(-1, 3), np.arange(3 * len(BOX)).reshape(-1, 3))
+    content = mesh.export(file_type=kind, **options)
+    return content.encode() if isinstance(content, str) else content
+
+
 BOX = np.array(trimesh.creation.box((4.0, 3.0, 2.0)).triangles)
 SPELLINGS: dict[str, tuple[str, bytes]] = {
     "binary": ("a.stl", stl_binary()),
@@ -238,13 +242,10 @@ def test_an_stl_file_is_read_however_it_is_spelt(spelling: str, tmp_path: Path) 
     np.testing.assert_allclose(read(str(tmp_path / name))["triangles"], BOX, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", ["obj", "off", "ply", "glb", "stl", "stl_ascii", "OBJ", "Ply"])
+@pytest.mark.parametrize("kind", ["off", "glb", "stl_ascii", "OBJ", "Ply"])
 def test_what_trimesh_reads_is_read(kind: str, tmp_path: Path) -> None:
-    content = trimesh.Trimesh(BOX.reshape(-1, 3), np.arange(3 * len(BOX)).reshape(-1, 3)).export(
-        file_type=kind.lower()
-    )
     path = tmp_path / f"a.{kind}"
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    path.write_bytes(exported(kind.lower()))
     triangles = read(str(path))["triangles"]
     volume = np.linalg.det(triangles).sum() / 6.0
     assert len(triangles) == len(BOX) and abs(volume - np.linalg.det(BOX).sum() / 6.0) < 1e-5
@@ -252,11 +253,7 @@ def test_what_trimesh_reads_is_read(kind: str, tmp_path: Path) -> None:
 
 def with_comment(kind: str, **options: str) -> tuple[bytes, bytes]:
     """Returns the box as trimesh writes it, in two parts between which a comment may stand."""
-    content = trimesh.Trimesh(BOX.reshape(-1, 3), np.arange(3 * len(BOX)).reshape(-1, 3)).export(
-        file_type=kind, **options
-    )
-    content = content.encode() if isinstance(content, str) else content
-    lines = content.split(b"\n", {"obj": 0, "off": 1, "ply": 2}[kind])
+    lines = exported(kind, **options).split(b"\n", {"obj": 0, "off": 1, "ply": 2}[kind])
     return b"".join(line + b"\n" for line in lines[:-1]), lines[-1]
 
 

@@ -25,16 +25,13 @@ def started(chief: ChiefParameters, c: InspectionParameters = C, batch: int = 1)
     return tumbling
 
 
-def after(tumbling: Tumbling, seconds: float, every: float = 10.0) -> torch.Tensor:
-    for k in range(1, round(seconds / every) + 1):
-        tumbling.at(torch.full_like(tumbling.motion[0], k * every))
-    return tumbling.motion[:, 0]
-
-
 @pytest.mark.parametrize("hill_rotation", [False, True])
 def test_a_chief_tumbles_as_an_adaptive_integrator_has_it(hill_rotation: bool) -> None:
     c = InspectionParameters(hill_rotation=hill_rotation)
-    motion = after(started(TRIAXIAL, c), 1000.0)
+    tumbling = started(TRIAXIAL, c)
+    for seconds in range(10, 510, 10):
+        tumbling.at(torch.full((1,), seconds, dtype=torch.float64))
+    motion = tumbling.motion[:, 0]
     moments, turning = np.array(TRIAXIAL.moments), c.mean_motion if hill_rotation else 0.0
 
     def rate(t: float, y: np.ndarray) -> np.ndarray:
@@ -46,7 +43,7 @@ def test_a_chief_tumbles_as_an_adaptive_integrator_has_it(hill_rotation: bool) -
 
     q0 = np.array(TRIAXIAL.attitude) / np.linalg.norm(TRIAXIAL.attitude)
     start = np.concatenate((q0, np.radians(TRIAXIAL.rate)))
-    end = solve_ivp(rate, (0.0, 1000.0), start, "DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+    end = solve_ivp(rate, (0.0, 500.0), start, "DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
     apart = Rotation.from_quat(motion[ATTITUDE].numpy()) * Rotation.from_quat(end[:4]).inv()
     assert apart.magnitude() < 1e-5  # rad
     np.testing.assert_allclose(motion[RATE], end[4:], atol=1e-8)
@@ -56,20 +53,6 @@ def product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Hamilton's, scalar last."""
     vector = p[3] * q[:3] + q[3] * p[:3] + np.cross(p[:3], q[:3])
     return np.array([*vector, p[3] * q[3] - p[:3] @ q[:3]])
-
-
-def test_energy_and_angular_momentum_stay() -> None:
-    tumbling = started(TRIAXIAL)
-    moments = torch.tensor(TRIAXIAL.moments).double()
-
-    def kept(motion: torch.Tensor) -> tuple[float, torch.Tensor]:
-        momentum = moments * motion[RATE]
-        return float(momentum @ motion[RATE]), rotate(motion[ATTITUDE], momentum)
-
-    energy, momentum = kept(tumbling.motion[:, 0])
-    energy_after, momentum_after = kept(after(tumbling, 1000.0))
-    assert energy_after == pytest.approx(energy, rel=1e-6)
-    torch.testing.assert_close(momentum_after, momentum, rtol=0.0, atol=1e-5 * float(momentum.norm()))
 
 
 def test_episodes_draw_their_own_chiefs_again_the_same() -> None:
@@ -111,7 +94,7 @@ def test_what_turns_past_the_camera_comes_to_be_inspected() -> None:
     x[THETA_S] = math.pi
     seen = {}
     for name, rate in (("fixed", 0.0), ("turning", 1.0)):
-        c = InspectionParameters(mean_motion=1e-9, max_time=400.0, success_score=1.0)
+        c = InspectionParameters(mean_motion=1e-9, max_time=400.0, success_score=1.0, substep=5.0)
         env = InspectionEnv(
             1,
             c,

@@ -12,11 +12,7 @@ from inspection.model.dynamics import drift, integrate
 from inspection.model.orbit import closest_pass, free_flight
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THETA_S, P, Q, V
-
-N = 0.001027
-A = np.zeros((6, 6))  # Clohessy-Wiltshire
-A[:3, 3:] = np.eye(3)
-A[3, 0], A[3, 4], A[4, 3], A[5, 2] = 3 * N**2, 2 * N, -2 * N, -(N**2)
+from tests.inspection.model.test_dynamics import A, N
 
 
 def at(p, v):
@@ -39,13 +35,6 @@ def test_free_flight_is_the_matrix_exponential(c, random_states):
     path = free_flight(x[P, None], x[V, None], torch.tensor(times).double()[:, None], c.mean_motion)
     for k, t in enumerate(times):
         np.testing.assert_allclose(path[:, k], (expm(A * t) @ x[:6].numpy())[:3], rtol=1e-9, atol=1e-7)
-
-
-def test_clearance_is_the_smallest_distance_of_a_dense_sampling(c, random_states):
-    x = random_states(20)
-    clearance = closest_pass(x, 3000.0, c).norm(dim=0)
-    brute = clearance_by_brute_force(x[P].numpy(), x[V].numpy(), 3000.0, 0.1)
-    np.testing.assert_allclose(clearance, brute, rtol=0, atol=0.1)
 
 
 @pytest.mark.parametrize("orbits", [1.0, pytest.param(5.7, marks=pytest.mark.campaign)])
@@ -95,9 +84,8 @@ def test_clohessy_and_wiltshires_is_the_slope_of_the_exact_acceleration_at_the_c
     np.testing.assert_allclose(slope, A[3:], rtol=1e-9, atol=1e-14)
 
 
-@pytest.mark.parametrize("mean_motion", [0.001027, 0.0011])
-def test_nothing_natural_exceeds_the_largest_drift_and_the_worst_comes_near(mean_motion):
-    c, g = InspectionParameters(mean_motion=mean_motion), torch.Generator().manual_seed(0)
+def test_nothing_natural_exceeds_the_largest_drift_and_the_worst_comes_near():
+    c, g = InspectionParameters(mean_motion=0.0011), torch.Generator().manual_seed(0)
     x = torch.randn(SIZE, 200_000, generator=g, dtype=torch.float64)
     x[P] *= c.max_distance / x[P].norm(dim=0)
     x[V] *= 5.0 / x[V].norm(dim=0)
@@ -109,13 +97,12 @@ def test_nothing_natural_exceeds_the_largest_drift_and_the_worst_comes_near(mean
 
 def test_attitude_relative_to_hills_frame_is_the_inertial_one_turned_back(random_states):
     """A gyro's rate stays as it is where no torque acts on a body with equal moments."""
-    x, seconds = random_states(6), 1000.0
-    end = integrate(
-        x, torch.zeros(6, 6).double(), 1.0, InspectionParameters(hill_rotation=True), round(seconds)
-    )
+    x, seconds = random_states(6), 200.0
+    c = InspectionParameters(hill_rotation=True)
+    end = integrate(x, torch.zeros(6, 6).double(), 1.0, c, round(seconds))
     np.testing.assert_allclose(end[OMEGA], x[OMEGA], rtol=0, atol=1e-15)
     for i in range(6):
         before, after = (Rotation.from_euler("z", -s[THETA_S, i].item()) for s in (x, end))
         body = before * Rotation.from_quat(x[Q, i]) * Rotation.from_rotvec(seconds * x[OMEGA, i].numpy())
         left = (body.inv() * after * Rotation.from_quat(end[Q, i])).magnitude()
-        assert math.degrees(left) < 2e-5
+        assert math.degrees(left) < 4e-6

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from torch import Tensor
 
-from inspection.model.state import OMEGA, THRUST, TORQUE, P, Q, V
+from inspection.model.state import OMEGA, THRUST, TORQUE, Q
 from inspection.world.corners import CORNER, ERRORS, GAINS, LONGEST_END, MISSED, Recorded
 from inspection.world.parameters import PlantParameters
-from inspection.world.plant import Plant
 from tests.inspection.model.test_dynamics import MASS, UNEQUAL, N
-from tests.inspection.world.test_plant import begun, moments, states
+from tests.inspection.world.test_plant import begun, error_of, moments, states
 
 NOISY = {
     "position_noise": (0.1, 0.2),
@@ -25,14 +23,6 @@ NOISY = {
     "noise_bound": 2.0,
 }
 BOUNDS = np.repeat([0.9, 0.004, math.radians(0.4), math.radians(0.02)], 3)  # the largest bias + 2 sigma
-
-
-def error_of(plant: Plant, x: Tensor, time: float) -> np.ndarray:
-    """Returns the errors (12, B) of a measurement, in m, m/s, rad, rad/s."""
-    seen = plant.sense(moments(x.shape[1], time), x.clone())
-    turned = Rotation.from_quat(x[Q].T.numpy()).inv() * Rotation.from_quat(seen[Q].T.numpy())
-    difference = (seen - x).numpy()
-    return np.concatenate((difference[P], difference[V], turned.as_rotvec().T, difference[OMEGA]))
 
 
 def test_a_steady_error_is_at_a_corner_of_its_bounds_for_the_whole_episode() -> None:
