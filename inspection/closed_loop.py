@@ -181,9 +181,6 @@ def closed_loop(
     seen, start = x, torch.zeros_like(x[0]) if start is None else start
     step, steps, flown = clocks.step, 0, x  # `flown`: the plant's state after `steps` steps
 
-    def acts(time: float, u: Tensor) -> Tensor:
-        return plant.actuate(start + time, u) if plant else u
-
     for i in range(clocks.count(duration)):
         time, decided = i * hold, i % decisions == 0
         called = i % calls == 0 if correct else decided
@@ -204,7 +201,8 @@ def closed_loop(
         end, moment, acted = (i + 1) * hold, time, []
         while moment < end - ROUNDING:
             begun = steps * step
-            until, acting = min(begun + step, end), acts(begun, applied)
+            until = min(begun + step, end)
+            acting = plant.actuate(start + begun, applied) if plant else applied
             if begun + step < end + ROUNDING:
                 after = flown = integrate(flown, acting, step)
                 steps += 1

@@ -90,13 +90,9 @@ class InspectionEnv(Fixed):
         self.c, self.safety = parameters, safety or Safety()
         filter_period = self.safety.period if self.safety.correct else None
         self.clocks = clocks_of(parameters, filter_period, decide_every, report_every)
-        batch = num_envs * len(generators)
-        device = generators[0].device
-
-        def zeros(*shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
-            return torch.zeros(*shape, batch, dtype=dtype, device=device)
-
-        self.x = zeros(SIZE)  # allocated first, so that a batch beyond the memory fails here
+        batch, device = num_envs * len(generators), generators[0].device
+        # allocated first, so that a batch beyond the memory fails here
+        self.x = torch.zeros(SIZE, batch, dtype=torch.float64, device=device)
         made: Plant | None = None
         if plant is not None and not plant.is_nominal:
             kind = BasiliskPlant if plant.simulator == "basilisk" else Plant
@@ -110,13 +106,13 @@ class InspectionEnv(Fixed):
             InitialStates(generator, parameters, self.safety.is_safe, numbered) for generator in generators
         ]
         self.num_envs, self.privileged = num_envs, privileged
-        self.limit = torch.tensor(parameters.control_limit, dtype=torch.float64, device=device)[:, None]
+        self.limit = self.x.new_tensor(parameters.control_limit)[:, None]
         self.progress = 1.0
-        self.time = zeros()
-        self.steps = zeros(dtype=torch.int64)
-        self.totals = zeros(3)  # reward, delta v, torque
-        self.violation_steps = zeros(len(self.safety.names), dtype=torch.int64)
-        self.any_violation_steps = zeros(dtype=torch.int64)
+        self.time = self.x.new_zeros(batch)
+        self.totals = self.x.new_zeros(3, batch)  # reward, delta v, torque
+        self.steps = self.time.long()
+        self.violation_steps = self.steps.new_zeros(len(self.safety.names), batch)
+        self.any_violation_steps = self.steps.clone()
         # functions of states column by column, which `compile` replaces
         if self.plant:
             self._integrate = partial(self.plant.integrate, duration=self.clocks.step)
@@ -293,14 +289,20 @@ class InspectionEnv(Fixed):
         self.steps += 1
 
         score, h = self.sight.score(), self.constraint_values(self.x)
-        violated = self._count(h < 0.0)
-        ended = failed_in(holds, c) | ends(score, self.time, c)
-        delta_v, torque = effort(holds, self.plant.mass if self.plant else c.mass, c)
+        violated = h < 0.0
+        self.violation_steps += violated
+        self.any_violation_steps += violated.any(0)
+        # at the end of any of the holds, (16, holds, B)
+        failed = failures(torch.stack([hold.after for hold in holds], 1), c)
+        ended = {name: each.any(0) for name, each in failed.items()} | ends(score, self.time, c)
+        delta_v, torque = effort(holds, self.plant.body[0] if self.plant else c.mass, c)
         terms = rewards(self.x, score - before, delta_v, torque, self.time, ended, c)
         reward = torch.stack([terms[name] for name in REWARDS]).sum(0)
         named = dict(zip(self.safety.names, h, strict=True))
         own = shaping(self.x, named, self._corrected(holds), delta_v, self.progress, c)
         self.totals += torch.stack((reward, delta_v, torque))
+        percent = 100.0 * self.any_violation_steps / self.steps
+        metrics = torch.stack((score, self.totals[0], self.time, *self.totals[1:], percent))
 
         terminated = ended["crash"] | ended["out_of_bounds"] | ended["out_of_power"] | ended["success"]
         observation = self.observation(score=score)
@@ -319,7 +321,7 @@ class InspectionEnv(Fixed):
             applied_controls=[hold.applied for hold in holds],
             limit=self.limit,
             outcome=outcome_of(ended),
-            metrics=self._metrics(score),
+            metrics=metrics,
             violation_steps=self.violation_steps.clone(),
             steps=self.steps.clone(),
             truths=self._truths(holds),
@@ -370,17 +372,6 @@ class InspectionEnv(Fixed):
             return self.x.new_zeros(self.violation_steps.shape)
         return self._values(x)
 
-    def _count(self, violated: Tensor) -> Tensor:
-        """Adds the violations (constraints, B) bool of this step to the episodes' counts, and returns them."""
-        self.violation_steps += violated
-        self.any_violation_steps += violated.any(0)
-        return violated
-
-    def _metrics(self, score: Tensor) -> Tensor:
-        """Returns the metrics (6, B) in the order of METRICS."""
-        percent = 100.0 * self.any_violation_steps / self.steps
-        return torch.stack((score, self.totals[0], self.time, self.totals[1], self.totals[2], percent))
-
     def _restart(self, mask: Tensor, x: Tensor | None = None, priority: Tensor | None = None) -> Tensor:
         """Draws initial conditions where mask (B,) is set, each seed's from its own generator; returns these columns.
 
@@ -426,12 +417,6 @@ class InspectionEnv(Fixed):
             for hold in holds
             if hold.correction is not None and hold.missed is not None
         ]
-
-
-def failed_in(holds: Sequence[Hold], c: InspectionParameters) -> dict[str, Tensor]:
-    """Returns whether `failures` hold at the end of any of the holds, (B,) bool by name."""
-    after = torch.stack([hold.after for hold in holds], 1)  # (16, holds, B)
-    return {name: each.any(0) for name, each in failures(after, c).items()}
 
 
 def effort(holds: Sequence[Hold], mass: Tensor | float, c: InspectionParameters) -> tuple[Tensor, Tensor]:

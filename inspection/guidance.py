@@ -1,8 +1,7 @@
 """Classical controllers for comparison with agents, within the actuators' limits."""
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 import scipy.linalg
@@ -80,11 +79,6 @@ def lqr_gain(c: Limits) -> np.ndarray:
     return np.linalg.solve(r, b.T @ riccati)
 
 
-def scheduled(schedule: Sequence[tuple[float, Any]], t: float) -> Any:
-    """Returns the value of the last entry (start in s, value) that has started at t."""
-    return [value for start, value in schedule if start <= t][-1]
-
-
 def lqr_pd(c: Limits) -> Controller:
     """Flies an LQR from set point to set point; a PD law turns side after side into the Sun, past every boundary.
 
@@ -95,9 +89,10 @@ def lqr_pd(c: Limits) -> Controller:
     sunward = ((0.0, "+z"), (40.0, "+x"), (150.0, c.thermal_axis))
 
     def control(t: float, x: Tensor) -> Tensor:
-        target = x.new_tensor(scheduled(SET_POINTS, t))[:, None]
+        target = x.new_tensor([position for start, position in SET_POINTS if start <= t][-1])[:, None]
+        axis = [axis for start, axis in sunward if start <= t][-1]
         thrust = -gain.to(x) @ torch.cat((x[P] - target, x[V]))
-        torque = point(x, scheduled(sunward, t), sun_direction(x[THETA_S]), c)
+        torque = point(x, axis, sun_direction(x[THETA_S]), c)
         return limited(thrust, torque, x, c)
 
     return control
@@ -118,17 +113,13 @@ def camera_direction(x: Tensor, outward: Tensor, sun: Tensor, c: Limits) -> Tens
     low = (LOW[0] - (x[E] - c.min_energy) / half_a_turn) / (LOW[0] - LOW[1])
     angle = dot(outward, sun).clamp(-1.0, 1.0).arccos()
     dark = (angle - DUSK[0]) / (DUSK[1] - DUSK[0])
-    off_limit = (
-        sun_and_earth_in_body(x)[0][0].clamp(-1.0, 1.0).arccos() - c.field_of_view / 2 - c.exclusion_buffer
-    )
+    off_sun = sun_and_earth_in_body(x)[0][0].clamp(-1.0, 1.0).arccos()
+    off_limit = off_sun - c.field_of_view / 2 - c.exclusion_buffer
     glare = (GLARE[0] - off_limit) / (GLARE[0] - GLARE[1])
     need = torch.stack((low, dark, glare)).amax(0).clamp(0.0, 1.0)
-    tilt = torch.minimum((angle - (1.0 - need) * balanced(c)).clamp(min=0.0), TILT + need * math.pi)
-    return tilted(outward, sun, tilt)
-
-
-def tilted(outward: Tensor, sun: Tensor, tilt: Tensor) -> Tensor:
-    """Returns the unit vector (3, ...) to the chief, turned away from the Sun by (...) rad; see `camera_direction`."""
+    # the panels' angle to the Sun at which they make the power drawn; 0 if they never make more
+    balanced = math.acos(min(1.0, c.power_draw / brightest(c)))
+    tilt = torch.minimum((angle - (1.0 - need) * balanced).clamp(min=0.0), TILT + need * math.pi)
     across = unit(sun - dot(outward, sun) * outward)
     return -(outward * tilt.cos() + across * tilt.sin())
 
@@ -186,11 +177,6 @@ def pointing_torque(
 def pointing_frequency(every: float) -> float:
     """Returns the frequency in rad/s of a pointing law whose control is held for `every` s, see `natural_motion`."""
     return min(POINTING_FREQUENCY, HELD / every)
-
-
-def balanced(c: Limits) -> float:
-    """Returns the panels' angle to the Sun in rad at which they make the power drawn; 0 if they never make more."""
-    return math.acos(min(1.0, c.power_draw / brightest(c)))
 
 
 def brightest(c: Limits) -> float:
@@ -276,19 +262,16 @@ def natural_motion(
     def control(t: float, x: Tensor) -> Tensor:
         sun, outward = sun_direction(x[THETA_S]), unit(x[P])
         wanted = x[THETA_S] - lead.at(score()) if lead and score else x[THETA_S]
-        position, velocity = (target_on_great_circle if lead else target_along_ellipse)(
-            x[P], wanted, orbit, n
-        )
+        target = target_on_great_circle if lead else target_along_ellipse
+        position, velocity = target(x[P], wanted, orbit, n)
         error = position - x[P]
         limit = orbit.approach * (c.docking_speed + c.speed_slope * norm(x[P]))
         nearing = error * torch.minimum(limit / norm(error).clamp(min=1e-9), torch.ones_like(limit) * (w / 2))
-        thrust = (
-            2 * w * c.mass * (nearing + velocity - x[V])
-        )  # the law w^2 error + 2 w error', with the approach speed limited
+        # the law w^2 error + 2 w error', with the approach speed limited
+        thrust = 2 * w * c.mass * (nearing + velocity - x[V])
         if lead:
-            torque = pointing_torque(
-                x, camera_direction(x, outward, sun, c), sun, c, pointing, thrust if rolls else None
-            )
+            camera = camera_direction(x, outward, sun, c)
+            torque = pointing_torque(x, camera, sun, c, pointing, thrust if rolls else None)
         else:
             away = torch.where(brightest(c) * dot(outward, sun) > c.power_draw, outward, sun)
             torque = point(x, "+x", -away, c, pointing)

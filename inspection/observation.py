@@ -60,11 +60,6 @@ def components(c: InspectionParameters) -> list[Component]:
     return [component for name, group in groups(c).items() if name in c.observed for component in group]
 
 
-def nearness(closest: Tensor, c: InspectionParameters) -> Tensor:
-    """Returns vectors (3, B) to a closest pass (3, B) in m, of length collision radius / distance, at most 2."""
-    return unit(closest) * (c.collision_radius / norm(closest)).clamp(max=2.0)
-
-
 def observe(
     x: Tensor,
     priority: Tensor,
@@ -88,8 +83,12 @@ def observe(
     def of_direction(direction: Tensor) -> Tensor:
         return torch.cat((rotate(to_body, direction), dot(direction, p_hat)[None]))
 
-    def of_free_flight(horizon: float, spacing: float) -> Tensor:
-        return rotate(to_body, nearness(closest_pass(x, horizon, c, spacing), c))
+    def of_free_flight() -> Tensor:
+        horizons = (c.passive_safety_horizon, SHORT_SPACING), (c.free_flight_horizon, LONG_SPACING)
+        passes = [closest_pass(x, horizon, c, spacing) for horizon, spacing in horizons]
+        # of length collision radius / distance, at most 2
+        near = [unit(closest) * (c.collision_radius / norm(closest)).clamp(max=2.0) for closest in passes]
+        return torch.cat([rotate(to_body, each) for each in near])
 
     radial, along_track, _ = torch.eye(3, dtype=x.dtype, device=x.device)[..., None].expand(3, *x[P].shape)
     rows: dict[str, Callable[[], Tensor]] = {
@@ -103,12 +102,7 @@ def observe(
         "uninspected": lambda: of_direction(uninspected),
         "score": lambda: score[None],
         "hill": lambda: torch.cat((rotate(to_body, radial), rotate(to_body, along_track))),
-        "free_flight": lambda: torch.cat(
-            (
-                of_free_flight(c.passive_safety_horizon, SHORT_SPACING),
-                of_free_flight(c.free_flight_horizon, LONG_SPACING),
-            )
-        ),
+        "free_flight": of_free_flight,
     }
     if chief is not None:
         own_axes = rotation_matrix(chief[:4])

@@ -18,9 +18,6 @@ PRIVILEGED = 3 + 2 * HARMONICS + 3 + 3 + 5  # counts: weights, their moments, po
 def privileged(x: Tensor, points: Tensor, left: Tensor, time: Tensor, c: InspectionParameters) -> Tensor:
     """Returns what is left to inspect, and where the deputy is, in Hill's frame turned to the Sun: (PRIVILEGED, B).
 
-    The remaining weights w, at azimuths phi from the Sun and heights z, are described by the sums of w, w cos(k phi),
-    w sin(k phi), w z and w z^2.
-
     The weights w left, at azimuths phi from the Sun and heights z, are described by the sums of w, w cos(k phi),
     w sin(k phi), w z and w z^2.
 

@@ -48,16 +48,12 @@ class Sight:
         self.points = (self.surface.points * 2**13).round().div(2**13).float()
         count = self.points.shape[1]
         clusters = chief.max_clusters(self.surface.normals, c, self.tumbling is not None)
-
-        def zeros(*shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
-            return torch.zeros(*shape, batch, dtype=dtype, device=device)
-
-        self.priority = zeros(3)
-        self.weights = zeros(count)
-        self.inspected = zeros(count, dtype=torch.bool)
-        self.centres = zeros(3, clusters, dtype=torch.float32)
-        self.alive = zeros(clusters, dtype=torch.bool)
-        self.uninspected = zeros(3)
+        self.priority = torch.zeros(3, batch, dtype=torch.float64, device=device)
+        self.uninspected = self.priority.clone()
+        self.weights = self.priority.new_zeros(count, batch)
+        self.inspected = self.weights.bool()
+        self.centres = self.priority.new_zeros(3, clusters, batch, dtype=torch.float32)
+        self.alive = self.centres[0].bool()
         # functions of states column by column, which `compile` replaces
         whole = (
             partial(in_view, self.surface) if self.tumbling else partial(chief.in_view, self.surface.normals)

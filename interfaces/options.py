@@ -41,7 +41,9 @@ def read(options: dict[str, Any] | None, batch: int, c: Limits) -> dict[str, Ten
     mask = mask_of(options.get(MASK, np.ones(batch, dtype=np.bool_)), batch)
     found = {"mask": mask}
     if "state" in options:
-        states = torch.where(mask, rows("state", options["state"], batch), placeholder())
+        possible = torch.zeros(SIZE, 1, dtype=torch.float64)  # where no state is given
+        possible[P.start] = possible[Q.stop - 1] = 1.0
+        states = torch.where(mask, rows("state", options["state"], batch), possible)
         found["x"] = check_states(states, c, "options: state")
     if "priority" in options:
         priority = torch.where(mask, rows("priority", options["priority"], batch), 1.0)
@@ -77,10 +79,3 @@ def rows(name: str, given: Any, batch: int) -> Tensor:
             f"options: {name} of shape {tuple(part.shape)}: must be ({size},) or ({batch}, {size})"
         )
     return part.expand(batch, size).T
-
-
-def placeholder() -> Tensor:
-    """Returns a valid state (16, 1), for episodes whose state is not given."""
-    x = torch.zeros(SIZE, 1, dtype=torch.float64)
-    x[P.start] = x[Q.stop - 1] = 1.0
-    return x

@@ -1,6 +1,5 @@
 """The filter as a wrapper: it corrects the controls within each step, and reports every call in `info`."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -78,20 +77,10 @@ class VectorRunTimeAssurance(VectorWrapper):
     def report(self) -> dict[str, Tensor]:
         """Returns desired controls and answers of the calls of the last step."""
         desired, results = zip(*self.calls, strict=True)
-        return {
-            "u_des": by_call(desired),
-            "u_safe": by_call([result.control for result in results]),
-            "intervened": by_call([result.intervened for result in results]),
-            "backup": by_call([result.backup for result in results]),
-            "verified": by_call([result.verified for result in results]),
-            "active": by_call([result.active for result in results]),
-            "status": by_call([result.status for result in results]),
-        }
-
-
-def by_call(parts: Sequence[Tensor]) -> Tensor:
-    """Returns one tensor (..., B) per call as (B, calls, ...)."""
-    return torch.stack(list(parts)).movedim(-1, 0)
+        parts = {"u_des": desired, "u_safe": [result.control for result in results]}
+        for name in ("intervened", "backup", "verified", "active", "status"):
+            parts[name] = [getattr(result, name) for result in results]
+        return {name: torch.stack(list(part)).movedim(-1, 0) for name, part in parts.items()}
 
 
 class RunTimeAssurance(gymnasium.Wrapper, RecordConstructorArgs):

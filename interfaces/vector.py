@@ -131,13 +131,10 @@ class VectorInspection6DoF(VectorEnv):
         Returns:
             Observations (B, 26) float32, rewards (B,), terminated and truncated (B,) bool, and an info about the step:
             reward_terms by name (B,); at its end violated (B, constraints) bool, cost (B,) float32, 1 where any limit
-                is
-            violated and else 0, and h by name (B,), the constraints' values, negative where violated; outcome (B,)
-                index into
-            OUTCOMES or -1; metrics of the episode so far by name (B,). Where an episode ended, info also has final_obs
-                (B, 26)
-            and final_info, the same entries and `episode` with return r and steps l; their masks (B,) are _final_obs,
-            _final_info and _episode.
+            is violated and else 0, and h by name (B,), the constraints' values, negative where violated; outcome (B,),
+            index into OUTCOMES or -1; metrics of the episode so far by name (B,). Where an episode ended, info also has
+            final_obs (B, 26) and final_info, the same entries and `episode` with return r and steps l; their masks (B,)
+            are _final_obs, _final_info and _episode.
 
         Raises:
             ResetNeeded: `reset` was not called. ValueError: wrong shape, or actions that are not finite.

@@ -1,7 +1,7 @@
 """A penalty on how far an update moves the policy, which adapts to a target (Schulman et al. 2017, sec. 4)."""
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 # RLlib's: factors of the target beyond which the penalty changes, and the penalty's factors then
 FAR, NEAR, RISE, FALL = 2.0, 0.5, 1.5, 0.5
@@ -14,7 +14,7 @@ def divergence(mean: Tensor, log_std: Tensor, new_mean: Tensor, new_log_std: Ten
     return (new_log_std - log_std + 0.5 * squares * (-2.0 * new_log_std).exp() - 0.5).sum(-1)
 
 
-class KLPrice:
+class KLPrice(nn.Module):
     """Holds the penalty on KL(old || new) in the loss of S seeds, per nat.
 
     Attributes:
@@ -22,18 +22,11 @@ class KLPrice:
     """
 
     def __init__(self, first: float, target: float, seeds: int, device: torch.device) -> None:
+        super().__init__()
         self.target = target
-        self.value = torch.full((seeds,), first, device=device)
+        self.value: Tensor = nn.Buffer(torch.full((seeds,), first, device=device))
 
     def update(self, kl: Tensor) -> None:
         """Adapts the penalty to the mean divergence (S,) of an update in nats."""
         self.value = torch.where(kl > FAR * self.target, RISE * self.value, self.value)
         self.value = torch.where(kl < NEAR * self.target, FALL * self.value, self.value)
-
-    def state_dict(self) -> dict[str, Tensor]:
-        """Returns what a continued training needs."""
-        return {"value": self.value}
-
-    def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Restores `state_dict`."""
-        self.value = state["value"]

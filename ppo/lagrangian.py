@@ -1,7 +1,7 @@
 """PPO-Lagrangian: a penalty on costs that rises until costs are as rare as allowed (Ray et al. 2019, sec. 4)."""
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 # The penalty is in units of reward per cost of one step; a step of the task earns about 0.01. Untrained agents violate
 # limits hundreds of times more often than allowed. Their excess counts as 1, so that the integral falls as fast as it
@@ -11,7 +11,7 @@ INTEGRAL_GAIN = 0.003  # per update
 LEAST_LIMIT = 1e-6  # smallest divisor of an excess, so that a limit of 0 has a finite penalty
 
 
-class Multiplier:
+class Multiplier(nn.Module):
     """Holds the Lagrange multiplier of S seeds under PI control (Stooke et al. 2020, algorithm 2, without derivative).
 
     Its error is the excess of costs in units of their limit, and at most 1. At a limit of 0 the penalty never falls.
@@ -21,9 +21,10 @@ class Multiplier:
     """
 
     def __init__(self, limit: float, seeds: int, device: torch.device) -> None:
+        super().__init__()
         self.limit = limit
-        self.integral = torch.zeros(seeds, device=device)
-        self.value = torch.zeros(seeds, device=device)
+        self.integral: Tensor = nn.Buffer(torch.zeros(seeds, device=device))
+        self.value: Tensor = nn.Buffer(torch.zeros(seeds, device=device))
 
     def update(self, cost: Tensor) -> None:
         """Adapts the multiplier to the mean cost per step (S,) of a batch."""
@@ -31,11 +32,3 @@ class Multiplier:
         # I = (I + K_I Delta)^+, lambda = (K_P Delta + I)^+
         self.integral = (self.integral + INTEGRAL_GAIN * excess).clamp(min=0.0)
         self.value = (PROPORTIONAL_GAIN * excess + self.integral).clamp(min=0.0)
-
-    def state_dict(self) -> dict[str, Tensor]:
-        """Returns what a continued training needs."""
-        return {"integral": self.integral, "value": self.value}
-
-    def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Restores `state_dict`."""
-        self.integral, self.value = state["integral"], state["value"]

@@ -21,11 +21,6 @@ OF_KL = ("mean", "log_std")  # of the collecting policy, needed if the divergenc
 OF_COSTS = ("cost", "cost_advantage", "cost_return")  # in a batch, needed if costs have a limit
 
 
-def explained_variance(value: Tensor, return_: Tensor) -> Tensor:
-    """Returns 1 - Var[return - value] / Var[return], (S,) from (S, N); not finite where returns are equal."""
-    return 1.0 - (return_ - value).var(1) / return_.var(1)
-
-
 class PPO:
     """Trains S seeds: `policy`, `value` and `generators` (one per seed) must all have the same S.
 
@@ -143,7 +138,9 @@ class PPO:
             reported["kl_price"] = self.kl_price.value
             self.kl_price.update(reported["kl"])
         reported |= extra
-        return reported | {"explained_variance": explained_variance(batch["value"], batch["return_"])}
+        # not finite where returns are equal
+        unexplained = (batch["return_"] - batch["value"]).var(1) / batch["return_"].var(1)
+        return reported | {"explained_variance": 1.0 - unexplained}
 
     def state_dict(self) -> dict[str, Any]:
         """Returns all that training changes, except the generators; tensors are shared, as PyTorch's are."""

@@ -146,29 +146,19 @@ class Policy(nn.Module):
         # computed from the action, not the noise: so the learner recomputes the same number and starts at ratio one
         return action, gaussian_log_prob(action, mean, log_std)
 
-    def log_prob_and_entropy(self, observation: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns log-probability and differential entropy in nats, each (S, B), of actions (S, B, A)."""
-        mean, log_std = self(observation)
-        return gaussian_log_prob(action, mean, log_std), gaussian_entropy(log_std)
-
-    @property
-    def is_linear(self) -> bool:
-        """Checks whether the environment gets the actions unchanged."""
-        return self.power == 1.0
-
     def shaped(self, action: Tensor) -> Tensor:
         """Returns the environment's actions for actions a (..., A): sign(a) |a|^k in [-1, 1].
 
         With power k > 1 noise around zero costs almost nothing, while the full range of an actuator remains within
         reach. With k = 1, as in the paper, actions are unchanged.
         """
-        if self.is_linear:
+        if self.power == 1.0:
             return action
         return action.sign() * action.abs().clamp(max=1.0) ** self.power
 
     def unshaped(self, control: Tensor) -> Tensor:
         """Returns the actions (..., A) that `shaped` maps to the given ones, which must be within [-1, 1]."""
-        if self.is_linear:
+        if self.power == 1.0:
             return control
         return control.sign() * control.abs() ** (1.0 / self.power)
 

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from ppo.gae import generalized_advantage
 from ppo.learner import PPO
-from ppo.network import Policy
+from ppo.network import Policy, gaussian_log_prob
 
 CHANGED = 1e-5  # of an actuator's limit; a larger difference is more than rounding
 
@@ -89,7 +89,7 @@ def collect(
         if from_applied:
             applied = transition.applied.float().unflatten(0, (seeds, -1))
             kept[-1]["action"] = as_applied(learner.policy, action, applied)
-            kept[-1]["log_prob"] = learner.policy.log_prob_and_entropy(observation, kept[-1]["action"])[0]
+            kept[-1]["log_prob"] = gaussian_log_prob(kept[-1]["action"], *learner.policy(observation))
         watch(transition)
         observation, value = following, following_value
     rollout = {name: torch.stack([step[name] for step in kept]) for name in kept[0]}  # (T, S, E, ...)
@@ -105,9 +105,8 @@ def collect(
     if "cost" in estimates:
         batch |= {"cost": rollout["cost"]}
         batch |= dict(zip(("cost_advantage", "cost_return"), estimates["cost"], strict=True))
-    return {
-        name: tensor.transpose(0, 1).flatten(1, 2) for name, tensor in batch.items()
-    }  # from (T, S, E, ...)
+    # from (T, S, E, ...)
+    return {name: tensor.transpose(0, 1).flatten(1, 2) for name, tensor in batch.items()}
 
 
 def as_applied(policy: Policy, action: Tensor, applied: Tensor) -> Tensor:

@@ -40,7 +40,7 @@ inspection/model/attitude.py quaternion_rate | inspection/model/test_attitude.py
 inspection/model/attitude.py rate_in_hill | inspection/model/test_orbit.py -k inertial_one_turned_back
 inspection/model/orbit.py closest_times | rta/test_limits.py -k infimum
 inspection/model/draws.py isotropic | inspection/model/test_draws.py
-inspection/model/state_checks.py is_state state_room | inspection/model/test_state_checks.py
+inspection/model/state_checks.py is_state | inspection/model/test_state_checks.py
 inspection/chief/points.py in_view nearest_cluster point_weights | inspection/chief/test_points.py
 inspection/chief/surface.py light | inspection/chief/test_surface.py
 inspection/chief/hull.py clearance planes_of | inspection/chief/test_hull.py
@@ -91,7 +91,7 @@ rta/robust/attitude_check.py followed hold_bounds law | rta/robust/test_robust_a
 rta/fast/program.py concluded scaled | rta/test_filter.py -k fast_program or corrected or safe_control or slack_is
 rta/fast/active_set.py begin cholesky kkt_residual stage | rta/fast/test_active_set.py
 ppo/gae.py generalized_advantage | ppo/test_gae.py
-ppo/learner.py PPO._clip_gradients PPO._loss PPO.update explained_variance | ppo/test_learner.py
+ppo/learner.py PPO._clip_gradients PPO._loss PPO.update | ppo/test_learner.py
 ppo/divergence.py KLPrice.update divergence | ppo/test_divergence.py
 ppo/network.py Policy.forward Policy.shaped gaussian_entropy gaussian_log_prob | ppo/test_network.py
 ppo/rollout.py as_applied collect | ppo/test_rollout.py

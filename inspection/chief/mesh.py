@@ -29,12 +29,6 @@ AT_ONCE = 2_000_000  # pairs of a point and a triangle in one operation, to boun
 GOLDEN = 0.7548776662466927, 0.5698402909980532  # Roberts' additive sequence fills a square evenly
 
 
-def arrays_of_npz(content: bytes) -> dict[str, np.ndarray]:
-    """Returns all arrays of a file."""
-    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in arrays.files}
-
-
 def triangles_of(content: bytes, kind: str) -> np.ndarray:
     """Returns the triangles (F, 3, 3) of a file of a kind ("stl"); raises KeyError if trimesh cannot read the kind."""
     import trimesh  # takes half a second, so import it only for such a file
@@ -59,12 +53,10 @@ def path_of(mesh: str) -> str:
     return DIGEST.sub("", mesh)
 
 
-def file_of(mesh: str) -> tuple[str, bytes]:
-    """Returns the file's path as given and its content; raises ValueError if no file has the digest in `mesh`.
+def file_of(mesh: str) -> tuple[str, bytes, str]:
+    """Returns a file's path as given, its content and its digest; raises ValueError if no file has `mesh`'s digest.
 
     The path is looked up below the working directory, then below this project's folder.
-
-    A path is looked for below the working directory and below this project's folder.
     """
     path, wanted, found = path_of(mesh), DIGEST.search(mesh), ""
     for file in (Path(path), ROOT / path):
@@ -74,9 +66,9 @@ def file_of(mesh: str) -> tuple[str, bytes]:
             content = file.read_bytes()
         except OSError as error:
             raise ValueError(f"mesh = {path!r}: cannot be read: {error.strerror or error}") from None
-        digest = digest_of(content)
+        digest = hashlib.sha256(content).hexdigest()[:12]
         if not wanted or wanted[1] == digest:
-            return path, content
+            return path, content, digest
         found = found or digest
     if found:
         raise ValueError(f"mesh = {mesh!r}: is another file by now, whose sha256 begins with {found}")
@@ -85,17 +77,12 @@ def file_of(mesh: str) -> tuple[str, bytes]:
     raise ValueError(f"mesh = {path!r}: there is no such file, here or below the project's folder")
 
 
-def digest_of(content: bytes) -> str:
-    """Returns the first 12 hexadecimal digits of the content's sha256."""
-    return hashlib.sha256(content).hexdigest()[:12]
-
-
 def with_digest(mesh: str) -> str:
     """Returns a mesh's path with its digest appended, as `DIGEST` describes."""
     if DIGEST.search(mesh):
         return mesh
-    path, content = file_of(mesh)
-    return f"{path}#{digest_of(content)}"
+    path, _, digest = file_of(mesh)
+    return f"{path}#{digest}"
 
 
 def read(mesh: str) -> dict[str, np.ndarray]:
@@ -104,12 +91,13 @@ def read(mesh: str) -> dict[str, np.ndarray]:
     Raises:
         ValueError: the file holds anything else.
     """
-    path, content = file_of(mesh)
+    path, content, _ = file_of(mesh)
     suffix = Path(path).suffix.lower()
     try:
-        arrays = (
-            arrays_of_npz(content) if suffix == ".npz" else {"triangles": triangles_of(content, suffix[1:])}
-        )
+        if suffix == ".npz":
+            arrays = {**np.load(io.BytesIO(content), allow_pickle=False)}
+        else:
+            arrays = {"triangles": triangles_of(content, suffix[1:])}
     except KeyError as error:
         raise ValueError(
             f"mesh = {path!r}: must end in .npz, or in what trimesh reads: {error.args[0]}"

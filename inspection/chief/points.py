@@ -39,11 +39,6 @@ def point_weights(normals: Tensor, priority: Tensor, areas: Tensor | None = None
     return angle / angle.sum(0)
 
 
-def illuminated(normals: Tensor, theta_s: Tensor) -> Tensor:
-    """Checks which points face the Sun, (N, B) bool. On a sphere this equals a test of a ray towards the Sun."""
-    return normals.T @ sun_direction(theta_s) > 0.0
-
-
 def in_view(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
     """Checks from states x (16, B) which points are lit, and which of these are in view, (2, N, B) bool.
 
@@ -67,10 +62,11 @@ def max_clusters(normals: Tensor, c: InspectionParameters, turns: bool = False) 
     """
     if turns:
         suns = fibonacci_sphere(3600, normals.dtype, str(normals.device))
-        most = int((normals.T @ suns > 0.0).sum(0).max()) + c.points_per_cluster
     else:
-        sun = torch.linspace(0.0, 2 * math.pi, 3600, dtype=normals.dtype, device=normals.device)
-        most = int(illuminated(normals, sun).sum(0).max())
+        suns = sun_direction(
+            torch.linspace(0.0, 2 * math.pi, 3600, dtype=normals.dtype, device=normals.device)
+        )
+    most = int((normals.T @ suns > 0.0).sum(0).max()) + turns * c.points_per_cluster
     return -(-min(most + 1, normals.shape[1]) // c.points_per_cluster)
 
 

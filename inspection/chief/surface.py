@@ -125,12 +125,12 @@ def cuts(counts: list[int]) -> list[int]:
     """Returns where to cut ascending counts into GROUPS, one cut after the other, each where it saves the most."""
     found = [0, len(counts)]
     rises = [i for i, (before, after) in enumerate(pairwise(counts), 1) if before < after]
-
-    def filled(ends: list[int]) -> int:
-        return sum((end - begin) * counts[end - 1] for begin, end in pairwise(ends))
-
     for _ in range(GROUPS - 1):
-        found = min((sorted({*found, i}) for i in rises), key=filled, default=found)
+        found = min(
+            (sorted({*found, i}) for i in rises),
+            key=lambda ends: sum((end - begin) * counts[end - 1] for begin, end in pairwise(ends)),
+            default=found,
+        )
     return found
 
 
@@ -189,12 +189,13 @@ def groups(whole: Surface, least: int) -> list[tuple[Surface, int]]:
         torch.arange(sum(sizes)).split(sizes), whole.cones or (torch.empty(0),), strict=True
     ):
         many = torch.arange(max(least, len(own))) % len(own)
-        points, normals, areas = (
+        part = Surface(
             whole.points[:, own[many]],
             whole.normals[:, own[many]],
             whole.areas[own[many]],
+            whole.triangles,
+            (cones[:, :, many],) if cones.numel() else (),
         )
-        part = Surface(points, normals, areas, whole.triangles, (cones[:, :, many],) if cones.numel() else ())
         found.append((part, len(own)))
     return found
 

@@ -44,8 +44,6 @@ class Tumbling:
         """Returns the largest rate in rad/s at which the chief may come to turn.
 
         The energy sum J w^2 / 2 is constant. So |w|^2 grows at most by the ratio of the largest to the smallest moment.
-
-        The energy sum J w^2 / 2 stays, so that |w|^2 grows by the ratio of the moments at most.
         """
         p, c = self.parameters, self.c
         given = math.radians(max(p.largest_rate, math.hypot(*p.rate)))

@@ -18,12 +18,8 @@ def is_state(x: Tensor, c: Limits) -> Tensor:
 
     All numbers are finite and at most LARGEST in size, the quaternion has unit length, and T is above absolute zero.
     """
-    return (x.abs() <= LARGEST).all(0) & (state_room(x, c) > 0.0).all(0)
-
-
-def state_room(x: Tensor, c: Limits) -> Tensor:
-    """Returns (2, B), positive where q has unit length, and T in deg C above absolute zero."""
-    return torch.stack((OFF_UNIT - (norm(x[Q]) - 1.0).abs(), x[T] + c.zero_celsius))
+    room = torch.stack((OFF_UNIT - (norm(x[Q]) - 1.0).abs(), x[T] + c.zero_celsius))
+    return (x.abs() <= LARGEST).all(0) & (room > 0.0).all(0)
 
 
 def unit_warnings(x: Tensor, c: Limits) -> list[str]:

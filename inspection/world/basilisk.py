@@ -211,11 +211,6 @@ class Simulation:
         command.OnTimeRequest = np.stack((pulses, -pulses), 1).clip(0.0).ravel().tolist()
         deputy.thruster_command.write(command, self.now)
 
-    def run(self, seconds: float) -> None:
-        """Lets time pass; `ExecuteSimulation` would also look for events and draw a progress bar."""
-        self.now += self.nanoseconds(seconds)
-        self.sim.TotalSim.StepUntilStop(self.now, -1)
-
 
 class BasiliskPlant(Plant):
     """Flies a `Plant` whose bodies Basilisk moves.
@@ -300,7 +295,9 @@ class BasiliskPlant(Plant):
             if deputy.wheels is not None:
                 deputy.wheels.setState(wheels[:, i, None].tolist())
             simulation.act(i, controls[:, i], pushes[i], bodies[:4, i], seconds)
-        simulation.run(seconds)
+        # `ExecuteSimulation` would also look for events and draw a progress bar
+        simulation.now += simulation.nanoseconds(seconds)
+        simulation.sim.TotalSim.StepUntilStop(simulation.now, -1)
         chief = np.stack([np.concatenate(simulation.get(home)[:2]) for home in simulation.chiefs], 1)
         flown = [
             np.stack(part)
@@ -309,7 +306,8 @@ class BasiliskPlant(Plant):
         after = x.clone()
         earlier, frame = frame, hill(chief, self.flattening)
         after[:13] = x.new_tensor(frame.inwards(*flown))
-        after[THETA_S] = x[THETA_S] - x.new_tensor(earlier.angle_to(frame))
+        radial, along_track, _ = earlier.axes.inv().apply(chief[:3].T).T  # the chief's way along its orbit
+        after[THETA_S] = x[THETA_S] - x.new_tensor(np.arctan2(along_track, radial))
         if self.c.saturate_rates and self.parameters.saturate_rates:
             after[OMEGA] = after[OMEGA].clamp(-self.c.max_rate, self.c.max_rate)
         # Heun's method, with Basilisk's attitudes
@@ -352,11 +350,6 @@ class Hill(NamedTuple):
         relative = back.apply(v - self.chief[3:].T).T - crossed(self.turning, p)
         q = (back * Rotation.from_mrp(mrp)).as_quat()
         return np.concatenate((p, relative, q.T, omega.T))
-
-    def angle_to(self, later: "Hill") -> ndarray:
-        """Returns in rad by how much the radial direction has moved along the orbit until later frames, (k,)."""
-        x, y, _ = self.axes.inv().apply(later.chief[:3].T).T
-        return np.arctan2(y, x)
 
 
 def hill(chief: ndarray, flattening: float = 0.0) -> Hill:

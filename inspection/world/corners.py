@@ -60,11 +60,6 @@ class Recorded:
         return self._now(time)[GAINS.start :]
 
 
-def held_ends(key: Tensor) -> Tensor:
-    """Returns a corner (18, k) bool for the whole episode, by the episodes' keys (k,)."""
-    return counter_based_uniform(key, torch.full_like(key, BEFORE), ENDS, FIRST) < 0.5
-
-
 def wandering_ends(key: Tensor, time: Tensor) -> Tensor:
     """Returns a corner (18, k) bool at times (k,) in s.
 

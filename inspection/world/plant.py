@@ -27,7 +27,6 @@ from inspection.world.corners import (
     MISSED,
     Adversary,
     displaced,
-    held_ends,
     wandering_ends,
 )
 from inspection.world.parameters import PlantParameters, Range, bounds
@@ -82,9 +81,6 @@ def sample_plant(parameters: PlantParameters, c: Limits, key: Tensor) -> PlantSa
     def size(value: Range) -> Tensor:
         return within(bounds(value)[1] if at_corner else value)
 
-    def gain(value: Range) -> Tensor:
-        return within(1.0 if at_corner else value)
-
     def each(value: Range, drawn: Callable[[Range], Tensor]) -> Tensor:
         return torch.stack([drawn(value) for _ in range(3)])
 
@@ -95,7 +91,7 @@ def sample_plant(parameters: PlantParameters, c: Limits, key: Tensor) -> PlantSa
     mass = c.mass * factor(p.mass_factor)
     inertia = each(p.inertia_factor, factor) * mass.new_tensor(c.inertia)[:, None]
     push = size(p.acceleration) * direction()
-    along, torque = each(p.thrust_gain, gain), each(p.torque_gain, gain)
+    along, torque = (each(1.0 if at_corner else gain, within) for gain in (p.thrust_gain, p.torque_gain))
     tilt, side = each(p.thrust_misalignment, size).deg2rad(), each((0.0, 2 * math.pi), within)
     thrust = mass.new_zeros(3, 3, mass.numel())
     for i in range(3):
@@ -193,9 +189,8 @@ class Plant(Fixed):
         self.held[:, columns] = 0.0
         self.past[..., columns] = 0.0
         self.missed[columns] = 0
-        for whole, part in zip(
-            self.drawn, sample_plant(self.parameters, self.c, self.key[columns]), strict=True
-        ):
+        sample = sample_plant(self.parameters, self.c, self.key[columns])
+        for whole, part in zip(self.drawn, sample, strict=True):
             whole[..., columns] = part
         self.true = self.seen = self.held[:0]
 
@@ -221,11 +216,6 @@ class Plant(Fixed):
     def body(self) -> Tensor:
         """Returns the bodies (7, B) that `integrate` takes."""
         return self.drawn.body
-
-    @property
-    def mass(self) -> Tensor:
-        """Returns the masses (B,) in kg."""
-        return self.drawn.body[0]
 
     def integrate(self, x: Tensor, u: Tensor, body: Tensor, duration: float, times: int = 1) -> Tensor:
         """Returns the states (16, B) after `times` steps of `duration` s.
@@ -257,7 +247,8 @@ class Plant(Fixed):
         thrust = torch.where(thrust.abs() < drawn.minimum, 0.0, thrust)
         u = torch.cat((thrust, u[TORQUE]))
         if p.failing != "none":
-            u = self.left(time) * u
+            left = torch.where(drawn.fails & (time >= drawn.fails_from), drawn.strength, 1.0)
+            u = left * u
         if self.at_corner:
             u = torch.where(self.corner[GAINS], self.gains[:, 1:], self.gains[:, :1]) * u
         thrust = (drawn.thrust * u[THRUST]).sum(1)
@@ -276,10 +267,6 @@ class Plant(Fixed):
         self.true, self.seen = x, seen
         return seen
 
-    def true_state_of(self, x: Tensor) -> Tensor:
-        """Returns the true states if x is their last measurement, else x."""
-        return self.true if x is self.seen else x
-
     def _measure(self, time: Tensor, x: Tensor) -> Tensor:
         """Returns the states (16, B) with the sensors' errors, rates relative to the frame that the filter expects."""
         if self.at_corner:
@@ -287,10 +274,8 @@ class Plant(Fixed):
             error = torch.where(self.corner[ERRORS], self.drawn.bias, -self.drawn.bias)
         else:
             bound = self.parameters.noise_bound
-            noise = torch.special.ndtri(counter_based_uniform(self.key, milliseconds(time), 12)).clamp(
-                -bound, bound
-            )
-            error = self.drawn.bias + self.drawn.noise * noise
+            numbers = counter_based_uniform(self.key, (1000.0 * time).round().long(), 12)
+            error = self.drawn.bias + self.drawn.noise * torch.special.ndtri(numbers).clamp(-bound, bound)
         seen = displaced(x, error)
         if self.turns and not self.c.hill_rotation:  # the model does not know that Hill's frame turns
             attitude = seen[Q]
@@ -305,7 +290,8 @@ class Plant(Fixed):
         An adversary chooses the gains later, with its response to the control.
         """
         if not self.is_worst:
-            return held_ends(self.key)
+            before = torch.full_like(self.key, BEFORE)
+            return counter_based_uniform(self.key, before, GAINS.stop, FIRST) < 0.5
         if self.adversary is None:
             return wandering_ends(self.key, time)
         return torch.cat((self.adversary.errors(time, x), self.corner[GAINS]))
@@ -323,7 +309,7 @@ class Plant(Fixed):
             missed = possible & response[-1]
             self.corner = torch.cat((self.corner[ERRORS], response))
         else:
-            chance = counter_based_uniform(self.key, milliseconds(time), 1, first=12)[0]
+            chance = counter_based_uniform(self.key, (1000.0 * time).round().long(), 1, first=12)[0]
             missed = possible & (chance < self.drawn.misses)
             self.corner = torch.cat((self.corner[:MISSED], missed[None]))
         self.missed = torch.where(missed, self.missed + 1, 0)
@@ -338,13 +324,3 @@ class Plant(Fixed):
         last = torch.arange(len(self.past), 0, -1, device=age.device)[:, None]  # age of each control in calls
         sent = torch.where((last <= age)[:, None], self.past, torch.nan)
         return {"sent": sent}
-
-    def left(self, time: Tensor) -> Tensor:
-        """Returns the share (6, B) of the command that each actuator gives."""
-        drawn = self.drawn
-        return torch.where(drawn.fails & (time >= drawn.fails_from), drawn.strength, 1.0)
-
-
-def milliseconds(time: Tensor) -> Tensor:
-    """Returns (B,) s as int64 ms."""
-    return (1000.0 * time).round().long()

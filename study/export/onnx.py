@@ -44,9 +44,9 @@ def to_onnx(policy: Policy, c: InspectionParameters, chief: ChiefParameters) -> 
         inputs = "observation" if i == 0 else f"hidden_{i}"
         output = "control" if last else f"hidden_{i + 1}"
         nodes.append(helper.make_node("Gemm", [inputs, f"weight_{i}", f"bias_{i}"], [f"affine_{i}"]))
-        output = "action" if last and not policy.is_linear else output
+        output = "action" if last and policy.power != 1.0 else output
         nodes.append(helper.make_node("Tanh", [f"affine_{i}"], [output]))
-    if not policy.is_linear:
+    if policy.power != 1.0:
         weights.append(numpy_helper.from_array(np.array(policy.power, np.float32), "power"))
         nodes += [helper.make_node(kind, given, [result]) for kind, given, result in SHAPED]
     batches = [

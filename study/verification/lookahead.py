@@ -68,7 +68,8 @@ class Lookahead:
 
     def __call__(self, t: float, x: Tensor) -> Tensor:
         if self.greedy is None:
-            self.choose(self.env.time + t, self.env.plant.true_state_of(x) if self.env.plant else x)
+            plant = self.env.plant
+            self.choose(self.env.time + t, plant.true if plant and x is plant.seen else x)
         return self.last
 
     def errors(self, time: Tensor, x: Tensor) -> Tensor:

@@ -30,7 +30,7 @@ class Informed:
 def fly(plant, period: float = 1.0):
     """Returns the filter, and the held controls from each call on, (calls, 6, BATCH)."""
     plant.every, correct = period, Informed()
-    batch = plant.mass.numel()
+    batch = plant.key.numel()
     x = torch.zeros(SIZE, batch, dtype=torch.float64)
     x[9] = 1.0
     clocks = Clocks(period, period, period, period)

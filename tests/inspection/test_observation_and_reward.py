@@ -59,18 +59,14 @@ def test_observations_are_the_papers(c, random_states, generator):
     np.testing.assert_allclose(o.T, expected, rtol=1e-12, atol=1e-12)
 
 
-def test_units_are_those_of_the_state(c):
-    units = dict.fromkeys((name for name, _, _ in components(c)), "1")
-    units |= {"position_norm": "m", "velocity_norm": "m/s", "energy": "kJ", "temperature": "deg C"}
-    units |= {f"angular_velocity_{i}": "rad/s" for i in "xyz"}
-    assert {name: unit for name, unit, _ in components(c)} == units
-
-
-@pytest.mark.parametrize("position, velocity, rate", [(100, 0.866, 0.035), (175, 1, 0.05)])
-def test_scales_divide_by_the_size_of_each_quantity(c, position, velocity, rate):
-    c = replace(c, observation_scales=(float(position), float(velocity), rate))
-    divisors = scales(torch.zeros(1, dtype=torch.float64), c)[:, 0].tolist()
-    assert divisors == [position, 1, 1, 1, velocity, 1, 1, 1, rate, rate, rate, 10, 10] + [1] * 13
+def test_units_and_scales_are_those_of_each_quantity(c):
+    c = replace(c, observation_scales=(175.0, 1.5, 0.05))
+    units = dict.fromkeys((name for name, _, _ in components(c)), ("1", 1.0))
+    units |= {"position_norm": ("m", 175.0), "velocity_norm": ("m/s", 1.5)}
+    units |= {"energy": ("kJ", 10.0), "temperature": ("deg C", 10.0)}
+    units |= {f"angular_velocity_{i}": ("rad/s", 0.05) for i in "xyz"}
+    assert {name: each for name, *each in components(c)} == {name: [*each] for name, each in units.items()}
+    assert scales(torch.zeros(1).double(), c)[:, 0].tolist() == [scale for _, _, scale in components(c)]
 
 
 # The terms of the reward

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from ppo import rollout
 from ppo.learner import PPO
-from ppo.network import Policy
+from ppo.network import Policy, gaussian_log_prob
 from ppo.rollout import Transition, as_applied, collect
 
 STEPS, GAMMA = 7, 0.9
@@ -86,7 +86,7 @@ def test_rows_follow_one_another_by_seed_then_step_then_episode(toy, small_learn
     action = batch["action"].unflatten(1, (STEPS, 2))[..., 0]
     torch.testing.assert_close(paid.float(), 1.0 + count + 10.0 * column + 0.1 * action)
     torch.testing.assert_close(batch["value"], learner.value(batch["observation"]).detach())
-    log_prob, _ = learner.policy.log_prob_and_entropy(batch["observation"], batch["action"])
+    log_prob = gaussian_log_prob(batch["action"], *learner.policy(batch["observation"]))
     torch.testing.assert_close(batch["log_prob"], log_prob.detach())
 
 
@@ -114,7 +114,7 @@ def test_learning_from_what_acted_keeps_its_action_and_probability(toy, small_le
     kept = collect(env, learner, 1, learner.generators, from_applied=True)
     assert (kept["action"][..., 0] - 0.1).abs().max() < 1e-6
     assert torch.equal(kept["action"][..., 1:], drawn["action"][..., 1:])
-    again = learner.policy.log_prob_and_entropy(kept["observation"], kept["action"])[0]
+    again = gaussian_log_prob(kept["action"], *learner.policy(kept["observation"]))
     torch.testing.assert_close(kept["log_prob"], again)
     assert not torch.allclose(kept["log_prob"], drawn["log_prob"])
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 
 from inspection.model import dynamics
 from inspection.model.state import OMEGA, THETA_S, E, Q, T, V
@@ -73,19 +72,6 @@ def still(attitude="identity", theta_s=0.0, temperature=5.0):
     x[1], x[T], x[E], x[THETA_S] = 60.0, temperature, 6.0, theta_s
     x[Q, 0] = torch.tensor(BODY_TO_HILL[attitude], dtype=torch.float64)
     return x
-
-
-def test_constant_hill_force_follows_the_matrix_exponential(c, random_states):
-    x = random_states(1)
-    x[Q, 0] = torch.tensor(BODY_TO_HILL["identity"])
-    x[OMEGA] = 0.0
-    force = np.array([0.7, -0.4, 0.9])
-    augmented = np.zeros((7, 7))
-    augmented[:6, :6], augmented[3:6, 6] = A, force / MASS
-    expected = expm(150 * augmented) @ np.concatenate((x[:6, 0].numpy(), [1.0]))
-    u = torch.zeros(6, 1, dtype=torch.float64)
-    u[:3, 0] = torch.tensor(force)
-    np.testing.assert_allclose(integrate(x, u, 150, c)[:6, 0], expected[:6], rtol=1e-10, atol=1e-9)
 
 
 def test_rate_of_change_is_the_papers(c, random_states):

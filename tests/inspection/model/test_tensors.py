@@ -16,14 +16,11 @@ X, U = torch.zeros(16, 1, dtype=torch.float64), torch.zeros(6, 1, dtype=torch.fl
 X[0], X[9], X[13], X[14] = 50.0, 1.0, 5.0, 6.0
 CALLS: dict[str, tuple[Callable[..., Any], tuple[torch.Tensor, ...]]] = {
     "step": (lambda x, u: dynamics.step(x, u, 1.0, C), (X, U)),
-    "integrate": (lambda x, u: dynamics.integrate(x, u, 1.0, C), (X, U)),
     "drift": (lambda x: dynamics.drift(x, C), (X,)),
     "control_matrix": (lambda x: dynamics.control_matrix(x, C), (X,)),
     "sun_and_earth_in_body": (dynamics.sun_and_earth_in_body, (X,)),
     "unit": (attitude.unit, (X[6:10],)),
-    "conjugate": (attitude.conjugate, (X[6:10],)),
     "rotate": (attitude.rotate, (X[6:10], X[:3])),
-    "rotation_matrix": (attitude.rotation_matrix, (X[6:10],)),
     "values": (SAFETY.values, (X,)),
     "is_safe": (SAFETY.is_safe, (X,)),
     "correct": (SAFETY.correct, (X, U)),

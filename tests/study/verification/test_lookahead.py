@@ -86,7 +86,7 @@ def test_what_is_tried_is_what_comes(world: bool) -> None:
     def control(t: float, seen: Tensor) -> Tensor:
         desired = lookahead.draw()
         if t == 2.0:
-            true = env.plant.true_state_of(seen) if world else seen
+            true = env.plant.true if world else seen
             promised.append(lookahead.outcome(env.time + t, true, desired)[:, 5])
             promised.append(desired[:, 5])
         return promised[1] if t >= 2.0 else desired[:, 1]
