@@ -103,28 +103,22 @@ def test_the_vector_form_has_the_simulators_numbers_in_the_kind_of_the_actions(s
 
 
 def test_the_single_form_has_the_simulators_numbers(short):
-    native, env = simulator(short, 1), gymnasium.make(ID, config=short)
-    lasted, lengths = 0, []
+    native, env, lengths = simulator(short, 1), gymnasium.make(ID, config=short), []
     np.testing.assert_array_equal(env.reset(seed=SEED)[0], native.reset()[0])
     for action in actions(1, 6):
-        expected, lasted = native.step(action), lasted + 1
+        expected = native.step(action)
         observation, reward, terminated, truncated, info = env.step(action[0].numpy())
         np.testing.assert_array_equal(observation, expected.final_observation[0])
-        assert (reward, terminated, truncated) == (
-            expected.reward.item(),
-            expected.terminated.item(),
-            expected.truncated.item(),
-        )
+        assert (reward, terminated, truncated) == (expected.reward, expected.terminated, expected.truncated)
         assert info["metrics"] == dict(zip(METRICS, expected.metrics[:, 0].tolist(), strict=True))
         assert sum(info["reward_terms"].values()) == pytest.approx(reward)
         assert info["violated"].shape == (13,) and "final_obs" not in info
         assert info["h"] == dict(zip(CONSTRAINTS, expected.h[:, 0].tolist(), strict=True))
         assert info["cost"] == float(min(info["h"].values()) < 0.0) and info["cost"].dtype == np.float32
         if terminated or truncated:
-            lengths.append(lasted)
+            lengths.append(expected.steps.item())
             assert OUTCOMES[info["outcome"]] == ("timeout" if truncated else "success")
             np.testing.assert_array_equal(env.reset()[0], native.reset()[0])
-            lasted = 0
     assert 5 in lengths
 
 

@@ -138,9 +138,8 @@ def test_j2_is_that_of_an_adaptive_integrator(random_states) -> None:
     there = plant.integrate(x, nothing(x), plant.body, 1.0, 500)
     after_r, after_v, _, _ = hill(plant.chief.numpy(), plant.flattening).outwards(there.numpy())
     for i in range(3):
-        end = solve_ivp(flattened, (0, 500), np.concatenate((r[i], v[i])), "DOP853", rtol=1e-13, atol=1e-9).y[
-            :, -1
-        ]
+        start = np.concatenate((r[i], v[i]))
+        end = solve_ivp(flattened, (0, 500), start, "DOP853", rtol=1e-13, atol=1e-9).y[:, -1]
         np.testing.assert_allclose(after_r[i], end[:3], rtol=0, atol=1e-5)
         np.testing.assert_allclose(after_v[i], end[3:], rtol=0, atol=1e-8)
     still = begun(FREE, x)
@@ -221,19 +220,19 @@ def test_wheels_turn_the_body_by_their_reaction_and_keep_the_momentum() -> None:
 
 
 @needs_basilisk
-@pytest.mark.parametrize("thrust", [0.0, 0.009, 0.011, 0.3, -0.513, 1.0])
-def test_thrusters_give_pulses_of_full_thrust(thrust: float) -> None:
+def test_thrusters_give_pulses_of_full_thrust() -> None:
     """A sixth of a step of the integrator short."""
-    plant, coasting = begun(replace(FREE, actuators="real"), resting()), begun(FREE, resting())
-    u = nothing(resting())
+    thrust = torch.tensor([0.0, 0.009, 0.011, 0.3, -0.513, 1.0], dtype=torch.float64)
+    x = resting(len(thrust))
+    plant, coasting = begun(replace(FREE, actuators="real"), x), begun(FREE, x)
+    u = nothing(x)
     u[THRUST.start + 2] = thrust
-    gained = plant.integrate(resting(), u, plant.body, 1.0)[V.start + 2]
-    gained -= coasting.integrate(resting(), nothing(resting()), coasting.body, 1.0)[V.start + 2]
-    steps = round(abs(thrust) / PULSE)
-    expected = math.copysign(PULSE * max(steps - 1 / 6, 0.0) / C.mass, thrust)
-    assert gained.item() == pytest.approx(expected, abs=1e-6)
-    acting = plant.actuate(torch.zeros(1, dtype=torch.float64), u)[THRUST.start + 2]
-    assert acting.item() / C.mass == pytest.approx(expected, abs=1e-6)
+    gained = plant.integrate(x, u, plant.body, 1.0) - coasting.integrate(x, nothing(x), coasting.body, 1.0)
+    steps = (thrust.abs() / PULSE).round()
+    expected = thrust.sign() * PULSE * (steps - 1 / 6).clamp(min=0.0) / C.mass
+    torch.testing.assert_close(gained[V.start + 2], expected, rtol=0, atol=1e-6)
+    acting = plant.actuate(torch.zeros_like(thrust), u)[THRUST.start + 2]
+    torch.testing.assert_close(acting / C.mass, expected, rtol=0, atol=1e-6)
 
 
 @needs_basilisk
@@ -267,22 +266,19 @@ def test_an_orbit_below_the_ground_is_refused() -> None:
 
 
 @needs_basilisk
-def test_rates_saturate_only_where_the_plant_has_them_do_so() -> None:
+@pytest.mark.parametrize(("saturates", "rate"), [(True, math.radians(2.0)), (False, 0.05)])
+def test_rates_saturate_only_where_the_plant_has_them_do_so(saturates: bool, rate: float) -> None:
     x = resting()
     x[OMEGA.start] = 0.05
-    for saturates, rate in ((True, InspectionParameters().max_rate), (False, 0.05)):
-        c = InspectionParameters()
-        plant = begun(replace(FREE, saturate_rates=saturates), x, c)
-        assert plant.integrate(x, nothing(x), plant.body, 1.0)[OMEGA.start].item() == pytest.approx(rate)
+    plant = begun(replace(FREE, saturate_rates=saturates), x, InspectionParameters())
+    found = plant.integrate(x, nothing(x), plant.body, 1.0)[OMEGA.start].item()
+    assert found == pytest.approx(rate, rel=1e-4)
 
 
 @needs_basilisk
-@pytest.mark.parametrize("errors", ["steady", "worst"])
-def test_a_world_at_its_corners_flies_again(
-    errors: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_world_at_its_corners_flies_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "report.json"
-    flags = ["--config", "configs/plants/u1_basilisk.toml", "--errors", errors, "--policy", "adversarial"]
+    flags = ["--config", "configs/plants/u1_basilisk.toml", "--errors", "worst", "--policy", "adversarial"]
     more = ["--episodes", "2", "--duration", "8", "--compile", "off", "--device", "cpu", "--json", str(path)]
     assert call(["verify", *flags, *more, "--keep-worst"], capsys)[0] == 0
     for constraint in ("keep_in_zone", "dynamic_speed"):
@@ -322,7 +318,6 @@ def test_episodes_restart_and_a_resumed_run_goes_on_bit_by_bit() -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        ["evaluate", "--controller", "zero", "--episodes", "2", "--no-rta"],
         ["simulate", "--controller", "natural-motion", "--duration", "30", "--out", "run.npz"],
         ["verify", "--policy", "random", "--episodes", "4", "--duration", "20"],
     ],

@@ -1,7 +1,6 @@
 """The world that differs from the model: against scipy, closed forms and counts by hand, and who is shown what."""
 
 import math
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -105,11 +104,9 @@ def disturbed_rate(x: np.ndarray, u: np.ndarray, plant: Plant, k: int) -> np.nda
     rate = paper_rate(x, acting, inertia)
     rate[3:6] += push
     if plant.parameters.hill_rotation:
-        relative = x[10:13] - Rotation.from_quat(x[6:10]).inv().apply([0.0, 0.0, N])
-        turn = Rotation.from_quat(x[6:10]).as_quat(scalar_first=True)
-        a, b = turn, np.array([0.0, *relative])
-        vector = a[0] * b[1:] + np.cross(a[1:], b[1:])
-        rate[6:10] = 0.5 * np.array([*vector, -a[1:] @ b[1:]])
+        relative = x.copy()
+        relative[10:13] -= Rotation.from_quat(x[6:10]).inv().apply([0.0, 0.0, N])
+        rate[6:10] = paper_rate(relative, acting, inertia)[6:10]
     return rate
 
 
@@ -354,23 +351,17 @@ def facing(batch: int) -> tuple[Tensor, Tensor]:
     return x, priority
 
 
-class Witness:
-    """Acts as a filter that keeps its inputs, and corrects nothing."""
+def witness(seen: list[Tensor]) -> Safety:
+    """Returns a filter that keeps its inputs, and corrects nothing."""
 
-    def __init__(self) -> None:
-        self.seen: list[Tensor] = []
+    def values(x: Tensor) -> Tensor:
+        return torch.stack((500.0 - x[P].norm(dim=0), 1.0 - x[V].norm(dim=0)))
 
-    def safety(self) -> Safety:
-        def correct(x: Tensor, desired: Tensor) -> SimpleNamespace:
-            self.seen.append(x)
-            return SimpleNamespace(control=desired, h=x[:2])
+    def correct(x: Tensor, desired: Tensor) -> SimpleNamespace:
+        seen.append(x)
+        return SimpleNamespace(control=desired, h=x[:2])
 
-        return Safety(
-            ("far", "fast"),
-            lambda x: torch.stack((500.0 - x[P].norm(dim=0), 1.0 - x[V].norm(dim=0))),
-            None,
-            correct,
-        )
+    return Safety(("far", "fast"), values, None, correct)
 
 
 SENSORS = PlantParameters(position_bias=900.0, velocity_bias=7.0, attitude_bias=120.0, rate_bias=5.0)
@@ -378,27 +369,21 @@ SENSORS = PlantParameters(position_bias=900.0, velocity_bias=7.0, attitude_bias=
 
 def test_agent_and_filter_see_what_is_measured_and_all_that_is_reported_is_true() -> None:
     x, priority = facing(4)
-    witness, others = Witness(), Witness()
-    env, honest = make(SENSORS, safety=witness.safety()), make(None, safety=others.safety())
+    shown, told, others = [], [], []  # to the agent, to its filter, and to that without errors
+    env, honest = make(SENSORS, safety=witness(told)), make(None, safety=witness(others))
     first, expected = env.start(x, priority), honest.start(x, priority)
     assert (first[:, 0] > 8.0).all() and (expected[:, 0] < 1.1).all()  # distances of hundreds of metres
-    shown: list[Tensor] = []
+    for step in range(5):
+        actions = torch.randn(4, 6, generator=seeded(step))
 
-    def commander(actions: Tensor) -> Callable[[float, Tensor], Tensor]:
-        def control(t: float, seen: Tensor) -> Tensor:
+        def control(t: float, seen: Tensor, actions: Tensor = actions) -> Tensor:
             shown.append(seen)
             return actions.T.double() * 0.1 * env.limit
 
-        return control
-
-    for step in range(5):
-        actions = torch.randn(4, 6, generator=seeded(step))
-        one, other = env.step(commander(actions)), honest.step(commander(actions))
+        one, other = env.step(control), honest.step(control)
         torch.testing.assert_close(one.state, other.state, rtol=1e-12, atol=1e-12)
-        torch.testing.assert_close(one.reward, other.reward, rtol=1e-9, atol=1e-9)
-        torch.testing.assert_close(one.metrics, other.metrics, rtol=1e-9, atol=1e-9)
-        for name in ("terminated", "truncated", "violated", "outcome"):
-            assert torch.equal(getattr(one, name), getattr(other, name))
+        for name in ("reward", "metrics", "terminated", "truncated", "violated", "outcome"):
+            torch.testing.assert_close(getattr(one, name), getattr(other, name), rtol=1e-9, atol=1e-9)
         assert torch.equal(env.sight.inspected, honest.sight.inspected) and honest.sight.inspected.any()
         # a part of what is observed says so
         seen = env.plant.sense(env.time, one.state)
@@ -406,11 +391,10 @@ def test_agent_and_filter_see_what_is_measured_and_all_that_is_reported_is_true(
         np.testing.assert_allclose(one.observation[:, 0], seen[P].norm(dim=0).float() / 100.0, rtol=1e-6)
         np.testing.assert_allclose(one.observation[:, 8:11], (seen[OMEGA] / 0.035).T, rtol=1e-4, atol=1e-5)
         for (_, answered, true), (_, _, given) in zip(one.calls(), other.calls(), strict=True):
-            assert answered.all() and true.shape == given.shape
-            assert (true[0] > 300.0).all()
-    for at, was in zip(witness.seen, others.seen, strict=True):
+            assert answered.all() and true.shape == given.shape and (true[0] > 300.0).all()
+    for at, was in zip(told, others, strict=True):
         assert ((at[P] - was[P]).norm(dim=0) - 900.0).abs().max() < 1e-6
-    assert torch.equal(shown[-2], witness.seen[-10])  # the agent's, at the beginning of the last step
+    assert torch.equal(shown[-2], told[-10])  # the agent's, at the beginning of the last step
     assert not torch.equal(shown[-2], shown[-1])
 
 
@@ -420,10 +404,8 @@ def test_a_resumed_flight_goes_on_bit_for_bit(errors: str) -> None:
     more = {"missed_calls": 0.5, "latency": (1, 3), "failing": "any", "errors": errors}
     world = PlantParameters(**(vars(U1) | more))
 
-    def fresh() -> tuple[InspectionEnv, list[torch.Generator]]:
-        generators = [seeded(0), seeded(1)]
-        env = InspectionEnv(3, c, generators, Witness().safety(), plant=world)
-        return env, generators
+    def fresh() -> InspectionEnv:
+        return InspectionEnv(3, c, [seeded(0), seeded(1)], witness([]), plant=world)
 
     def play(env: InspectionEnv, steps: range) -> list[Tensor]:
         found = [env.observation()]
@@ -433,14 +415,11 @@ def test_a_resumed_flight_goes_on_bit_for_bit(errors: str) -> None:
             found += [transition.observation, transition.state, transition.reward, env.plant.held, sent]
         return found
 
-    env, generators = fresh()
+    env, other = fresh(), fresh()
     env.reset()
     play(env, range(9))
-    saved, marks = env.state_dict(), [generator.get_state() for generator in generators]
-    expected = play(env, range(9, 20))
-    other, generators = fresh()
-    other.load_state_dict(saved)
-    for generator, mark in zip(generators, marks, strict=True):
-        generator.set_state(mark)
-    for one, wanted in zip(play(other, range(9, 20)), expected, strict=True):
+    other.load_state_dict(env.state_dict())
+    for theirs, ours in zip(other.starts, env.starts, strict=True):
+        theirs.generator.set_state(ours.generator.get_state())
+    for one, wanted in zip(play(other, range(9, 20)), play(env, range(9, 20)), strict=True):
         assert torch.equal(one, wanted)
