@@ -52,6 +52,12 @@ class Surface(NamedTuple):
     triangles: Tensor
     cones: tuple[Tensor, ...] = ()
 
+    def part(self, which: Tensor | list[int], cones: tuple[Tensor, ...] = ()) -> "Surface":
+        """Returns the surface of some points, by their indices or a mask (N,), with the cones of these points."""
+        return Surface(
+            self.points[:, which], self.normals[:, which], self.areas[which], self.triangles, cones
+        )
+
 
 def surface(chief: ChiefParameters, c: InspectionParameters, device: torch.device | str = "cpu") -> Surface:
     """Returns the chief's surface; raises ValueError if its file holds none, or reaches beyond `chief_radius`."""
@@ -148,9 +154,7 @@ def grouped(whole: Surface, planes: list[Tensor], keep: Tensor) -> Surface:
             some[:, : planes[i].shape[1], k] = planes[i]
         offsets = -(some * points).sum(-1, keepdim=True)  # a plane goes through its point
         cones.append(torch.cat((some, offsets), -1).float())
-    return Surface(
-        whole.points[:, order], whole.normals[:, order], whole.areas[order], whole.triangles, tuple(cones)
-    )
+    return whole.part(order, tuple(cones))
 
 
 def ever_seen(whole: Surface, name: str) -> Surface:
@@ -161,9 +165,7 @@ def ever_seen(whole: Surface, name: str) -> Surface:
     """
     if is_closed(whole.triangles):
         outside = ~enclosed(whole.points + 1e-4 * whole.normals, whole.triangles)
-        whole = whole._replace(
-            points=whole.points[:, outside], normals=whole.normals[:, outside], areas=whole.areas[outside]
-        )
+        whole = whole.part(outside)
     unseen = f"mesh = {path_of(name)!r}: none of its points can be seen: do its normals point outwards?"
     if not len(whole.areas):
         raise ValueError(unseen)
@@ -185,17 +187,10 @@ def groups(whole: Surface, least: int) -> list[tuple[Surface, int]]:
     """
     sizes = [group.shape[2] for group in whole.cones] or [len(whole.areas)]
     found = []
-    for own, cones in zip(
-        torch.arange(sum(sizes)).split(sizes), whole.cones or (torch.empty(0),), strict=True
-    ):
+    indices = torch.arange(sum(sizes)).split(sizes)
+    for own, cones in zip(indices, whole.cones or (torch.empty(0),), strict=True):
         many = torch.arange(max(least, len(own))) % len(own)
-        part = Surface(
-            whole.points[:, own[many]],
-            whole.normals[:, own[many]],
-            whole.areas[own[many]],
-            whole.triangles,
-            (cones[:, :, many],) if cones.numel() else (),
-        )
+        part = whole.part(own[many], (cones[:, :, many],) if cones.numel() else ())
         found.append((part, len(own)))
     return found
 

@@ -19,10 +19,7 @@ from inspection.reward import REWARDS, distance_from_track, shaping
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
 from kernels.compiled import Compiled
-
-
-def seeded(seed):
-    return torch.Generator().manual_seed(seed)
+from tests.support.states import seeded
 
 
 def make(c, num_envs=1, seeds=(0,), safety=None):

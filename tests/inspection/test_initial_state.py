@@ -8,10 +8,7 @@ import torch
 from inspection import initial_state
 from inspection.initial_state import InitialStates, sample_initial_state
 from inspection.model.state import THETA_S, E, P, Q, T
-
-
-def seeded(seed):
-    return torch.Generator().manual_seed(seed)
+from tests.support.states import seeded
 
 
 @pytest.fixture(scope="module")

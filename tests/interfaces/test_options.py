@@ -12,6 +12,7 @@ from interfaces import RunTimeAssurance, VectorRunTimeAssurance
 from settings import InputError, load
 from study.config import Config
 from study.files import ROOT
+from tests.support.states import at_rest
 
 ID = "interfaces:Inspection6DoF-v0"
 EPISODES, SEED = 3, 11
@@ -23,10 +24,9 @@ pytestmark = pytest.mark.usefixtures("small_pools")
 
 def start(count=EPISODES):
     """Returns states (count, 16) and priority unit vectors (count, 3) within every limit, no two alike."""
-    env = gymnasium.make_vec(ID, num_envs=count)
-    env.reset(seed=99)
-    simulator = env.unwrapped.simulator
-    return simulator.x.T.numpy().copy(), simulator.sight.priority.T.numpy().copy()
+    x = at_rest().T.repeat(count, 1).numpy()
+    x[:, 0] -= 5.0 * np.arange(count)
+    return x, np.eye(3)[:count]
 
 
 def made(behind_filter=False, **options):

@@ -19,6 +19,11 @@ IMPOSSIBLE = {
 }
 
 
+def seeded(seed: int) -> torch.Generator:
+    """Returns a generator that begins from a seed."""
+    return torch.Generator().manual_seed(seed)
+
+
 def at_rest() -> Tensor:
     """Returns a state (16, 1) at rest, 100 m from the chief, from which nothing is near."""
     x = torch.zeros(16, 1, dtype=torch.float64)

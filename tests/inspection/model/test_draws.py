@@ -16,12 +16,9 @@ from inspection.model.draws import (
     spherical,
     uniform,
 )
+from tests.support.states import seeded
 
 COUNT = 100_000
-
-
-def seeded(seed: int) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def numbers(rows: int) -> Tensor:

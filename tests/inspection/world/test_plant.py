@@ -21,6 +21,7 @@ from inspection.model.state import OMEGA, SIZE, THETA_S, THRUST, TORQUE, E, P, Q
 from inspection.world.parameters import DETAILS, PlantParameters
 from inspection.world.plant import Plant
 from tests.inspection.model.test_dynamics import MASS, UNEQUAL, N, paper_rate
+from tests.support.states import seeded
 
 C = InspectionParameters(inertia=UNEQUAL)
 U1 = PlantParameters(
@@ -40,10 +41,6 @@ U1 = PlantParameters(
     hill_rotation=True,
     saturate_rates=False,
 )
-
-
-def seeded(seed: int) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def begun(parameters: PlantParameters, batch: int = 1, seed: int = 0, c: InspectionParameters = C) -> Plant:
