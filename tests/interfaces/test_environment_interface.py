@@ -24,6 +24,7 @@ from study.config import Config
 gymnasium.register_envs(interfaces)
 ID = "interfaces:Inspection6DoF-v0"
 EPISODES, STEPS, SEED = 5, 12, 7
+pytestmark = pytest.mark.usefixtures("small_pools")
 
 
 @pytest.fixture

@@ -38,7 +38,7 @@ class Bandit:
 
 
 def trained(cost_limit: float) -> torch.Tensor:
-    """Returns the mean cost (S,) of the last 50 of 150 updates in the bandit."""
+    """Returns the mean cost (S,) of the last 40 of 100 updates in the bandit."""
     generators = [torch.Generator().manual_seed(seed) for seed in (3, 4)]
     parameters = PPOParameters(
         cost_limit=cost_limit,
@@ -53,11 +53,11 @@ def trained(cost_limit: float) -> torch.Tensor:
     learner = PPO(policy, value, parameters, generators, cost_value=cost_value if cost_limit < 1.0 else None)
     costs = []
     env = Bandit()
-    for _ in range(150):
+    for _ in range(100):
         batch = collect(env, learner, 2, generators)
         costs.append((batch["action"][..., 0] > 0.0).float().mean(1))
         learner.update(batch, 0.0)
-    return torch.stack(costs[-50:]).mean(0)
+    return torch.stack(costs[-40:]).mean(0)
 
 
 def test_the_price_is_proportional_and_integral_and_never_negative() -> None:
