@@ -207,7 +207,7 @@ class Run:
         states = self.ranks.collect(own, self.device)
         if not states:
             return
-        if lessons := [state.pop("lesson") for state in states if "lesson" in state]:
+        if any(lessons := [state.pop("lesson", {}) for state in states]):
             folder = self.directory / LESSONS
             folder.mkdir(exist_ok=True)
             checkpoint.save(folder / f"{own['lessons']['taught']}.pt", {"of_ranks": lessons})
@@ -221,7 +221,7 @@ class Run:
         ]
         for seed, home, policy in zip(self.seeds, self.seed_dirs, policies, strict=True):
             checkpoint.save(home / "policy.pt", {"policy": policy, "config": to_toml(self.config_of(seed))})
-        if not lessons:  # the phase is over, and the checkpoint says so
+        if "lessons" not in first:  # the phase is over, and the checkpoint says so
             shutil.rmtree(self.directory / LESSONS, ignore_errors=True)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
