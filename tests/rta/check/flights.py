@@ -4,26 +4,31 @@ import functools
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import OMEGA, SIZE, TORQUE, E, P, T, V
+from inspection.model.state import OMEGA, SIZE, E, P, T, V
 from kernels.compiled import Compiled
 from rta.check.nominal import NominalCheck
 from rta.fast.filter import fast
 from rta.filter import SafetyFilter
-from rta.parameters import PERIODS, RtaParameters
+from rta.parameters import RtaParameters
 from settings import load
 from study.config import Config
 from tests.oracles import attitude, hypercube, length, motion, moved
 from tests.support.filters import Unproposed
 
 C = InspectionParameters()
-NAMES = ("paper", "3u", "6u", "12u", "espa")
 # vehicle, period in s, whether the plant holds the rates; the moments of the last two are not equal
-CASES = [*(("paper", hold, True) for hold in PERIODS), ("12u", 5.0, False), ("espa", 10.0, False)]
-LOOK = 0.5  # s
+SHORT = [("paper", 10.0, True), ("espa", 10.0, False)]
+LONG = [("paper", 1.0, True), ("12u", 5.0, False)]
+EACH = pytest.mark.parametrize(
+    ("name", "hold", "saturates"),
+    [*SHORT, *(pytest.param(*case, marks=pytest.mark.campaign) for case in LONG)],
+)
+ROUNDED = 1e-9  # in the unit of each limit
 
 
 @functools.cache
@@ -139,15 +144,11 @@ def opposite(u: Tensor, c: InspectionParameters) -> Tensor:
     return -limits(c) * torch.where(u == 0.0, 1.0, u.sign())
 
 
-def rates_towards(x: Tensor, wanted: Tensor, hold: float, c: InspectionParameters) -> Tensor:
-    """Returns torque (3, B) within its limit that brings rates to wanted ones over a hold."""
-    inertia = torch.tensor(c.inertia, dtype=torch.float64)[:, None]
-    return (inertia * (wanted - x[OMEGA]) / hold).clamp(-c.max_torque, c.max_torque)
-
-
 def turning(x: Tensor, hold: float, seed: int, c: InspectionParameters = C) -> Tensor:
-    """Returns torque (3, B) towards rates that are almost at their limits."""
-    return rates_towards(x, 0.99 * c.max_rate * random(3, x.shape[1], seed).sign(), hold, c)
+    """Returns torque (3, B) within its limit towards rates that are almost at their limits."""
+    inertia = torch.tensor(c.inertia, dtype=torch.float64)[:, None]
+    wanted = 0.99 * c.max_rate * random(3, x.shape[1], seed).sign()
+    return (inertia * (wanted - x[OMEGA]) / hold).clamp(-c.max_torque, c.max_torque)
 
 
 def least_of(x: Tensor, c: InspectionParameters, spacing: float | None = None) -> np.ndarray:
@@ -180,10 +181,3 @@ def least_between(
     if c.saturate_rates:
         least[-1] = np.inf
     return least
-
-
-def torque_alone(torque: Tensor) -> Tensor:
-    """Returns controls (6, B) without thrust."""
-    u = torch.zeros(6, torque.shape[1], dtype=torque.dtype)
-    u[TORQUE] = torque
-    return u

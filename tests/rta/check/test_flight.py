@@ -3,16 +3,16 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import torch
 from torch import Tensor
 
 from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA
-from rta.check.flight import hold
+from rta.check import flight
 from tests.rta.check.flights import (
-    CASES,
+    EACH,
+    ROUNDED,
     backup,
     everywhere,
     least_between,
@@ -23,11 +23,6 @@ from tests.rta.check.flights import (
 )
 
 COUNT = 1000
-ROUNDED = 1e-9
-EACH = pytest.mark.parametrize(
-    ("name", "period", "saturates"),
-    [case if case is CASES[2] else pytest.param(*case, marks=pytest.mark.campaign) for case in CASES],
-)
 
 
 def controls(x: Tensor, period: float, c: InspectionParameters) -> Tensor:
@@ -42,29 +37,29 @@ def controls(x: Tensor, period: float, c: InspectionParameters) -> Tensor:
 
 
 @EACH
-def test_a_hold_ends_where_the_plant_does(name: str, period: float, saturates: bool) -> None:
+def test_a_hold_ends_where_the_plant_does(name: str, hold: float, saturates: bool) -> None:
     """Bit for bit, in a plant that holds the rates, too, where the least of them in the hold is not negative."""
-    c, w = vehicle(name, saturates), backup(name, period, saturates).flight
+    c, w = vehicle(name, saturates), backup(name, hold, saturates).flight
     x = everywhere(COUNT, 1, c)
-    u = controls(x, period, c)
-    seconds = min(c.substep, period)
+    u = controls(x, hold, c)
+    seconds = min(c.substep, hold)
     yes = torch.ones(COUNT, dtype=torch.bool)
-    end, least = hold(x, u, yes, w)
+    end, least = flight.hold(x, u, yes, w)
     for plant, same in ((replace(c, saturate_rates=False), yes), (c, least[10] >= 0.0)):
         expected = x
-        for _ in range(round(period / seconds)):
+        for _ in range(round(hold / seconds)):
             expected = step(expected, u, seconds, plant)
         assert same.sum() > 50 and torch.equal(end[:, same], expected[:, same])
 
 
 @EACH
-def test_no_limit_is_below_its_least_in_a_hold(name: str, period: float, saturates: bool) -> None:
-    c, w = vehicle(name, False), backup(name, period, saturates).flight
+def test_no_limit_is_below_its_least_in_a_hold(name: str, hold: float, saturates: bool) -> None:
+    c, w = vehicle(name, False), backup(name, hold, saturates).flight
     x = everywhere(COUNT, 5, c)
     x[OMEGA, ::3] = c.max_rate * random(3, COUNT, 7).sign()[:, ::3]  # full torque may be held at the limit
-    u = controls(x, period, c)
+    u = controls(x, hold, c)
     yes = torch.ones(COUNT, dtype=torch.bool)
-    bounds, least = hold(x, u, yes, w)[1].numpy(), least_between(x, u, period, c, spacing=5.0, look=0.1)
+    bounds, least = flight.hold(x, u, yes, w)[1].numpy(), least_between(x, u, hold, c, spacing=5.0, look=0.1)
     below = bounds - least
     assert (below <= ROUNDED).all(), below.max(1)
     lost_by = (0.05, 0.05, 0.05, 3.0, 0.02, 0.02, 0.02, 0.01, 0.01, 0.05, 1e-3)
@@ -72,4 +67,4 @@ def test_no_limit_is_below_its_least_in_a_hold(name: str, period: float, saturat
         inside = least[row] > (2e-3 if row == 10 else 0.05)
         assert inside.sum() > 50, row
         lost = np.median(-below[row][inside])
-        assert lost < most * (2.0 if row < 7 and period > 1.0 else 1.0), (row, lost)
+        assert lost < most * (2.0 if row < 7 and hold > 1.0 else 1.0), (row, lost)
