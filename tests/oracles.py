@@ -22,14 +22,12 @@ from torch import Tensor
 from inspection.model.dynamics import Body, step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE
-from rta.limits import PAPER, WEIGHT
-from rta.parameters import RtaParameters
+from rta.limits import PAPER
 from study.verification.starts import states_of
 
 # The paper's constraints
 
 C = InspectionParameters()
-R = RtaParameters()
 MEAN_MOTION = 0.001027  # rad/s
 # thrust less the tide at 800 m less Coriolis at 5 m/s, below the dynamic speed limit there (spec, decision 6)
 A_MAX = 1 / 12 - 3 * MEAN_MOTION**2 * 800 - 2 * MEAN_MOTION * 5
@@ -80,14 +78,14 @@ def orientation(x: ndarray, panel: float = -1.0) -> ndarray:
     )
 
 
-def coast(x: ndarray, t: ndarray) -> ndarray:
-    """Returns the paper's free-flight trajectory, (3, ...)."""
-    n, s, c = MEAN_MOTION, np.sin(MEAN_MOTION * t), np.cos(MEAN_MOTION * t)
+def free_flight(p: ndarray, v: ndarray, t: ndarray, n: float) -> ndarray:
+    """Returns Clohessy and Wiltshire's closed form, (3, ...)."""
+    s, co = np.sin(n * t), np.cos(n * t)
     return np.stack(
         (
-            (4 - 3 * c) * x[0] + s / n * x[3] + 2 / n * (1 - c) * x[4],
-            6 * (s - n * t) * x[0] + x[1] - 2 / n * (1 - c) * x[3] + (4 * s - 3 * n * t) / n * x[4],
-            x[2] * c + x[5] / n * s,
+            (4 - 3 * co) * p[0] + s / n * v[0] + 2 / n * (1 - co) * v[1],
+            6 * (s - n * t) * p[0] + p[1] - 2 / n * (1 - co) * v[0] + (4 * s - 3 * n * t) / n * v[1],
+            p[2] * co + v[2] / n * s,
         )
     )
 
@@ -101,7 +99,7 @@ def passive_safety(x: ndarray, start: float = 0.0, end: float = 500.0) -> ndarra
     low, high = np.full(x.shape[1], start), np.full(x.shape[1], end)
     for count in (501, 41, 41, 41, 41, 41):
         t = np.linspace(low, high, count)
-        distance = length(coast(x, t))
+        distance = length(free_flight(x[:3], x[3:6], t, MEAN_MOTION))
         best = distance.argmin(0)
         low, high = (
             t[best + i, range(x.shape[1])]
@@ -239,25 +237,20 @@ def hypercube(count: int, seed: int, c: InspectionParameters) -> Tensor:
     return states_of(torch.from_numpy(sampler.random(count).T.copy()), c)[0]
 
 
-def free_flight(p: ndarray, v: ndarray, t: ndarray, n: float) -> ndarray:
-    """Returns Clohessy and Wiltshire's closed form, (3, ...)."""
-    s, co = np.sin(n * t), np.cos(n * t)
-    return np.stack(
-        (
-            (4 - 3 * co) * p[0] + s / n * v[0] + 2 / n * (1 - co) * v[1],
-            6 * (s - n * t) * p[0] + p[1] - 2 / n * (1 - co) * v[0] + (4 * s - 3 * n * t) / n * v[1],
-            p[2] * co + v[2] / n * s,
-        )
-    )
+def heights(p: ndarray, c: InspectionParameters) -> ndarray:
+    """Returns m beyond the sphere, or beyond each plane of the hull, with the deputy touching it: (planes, ...)."""
+    if not c.planes:
+        return (length(p) - c.collision_radius)[None]
+    planes = np.array(c.planes)
+    return planes[:, :3] @ p - planes[:, 3:] - c.deputy_radius
 
 
 def free_clearance(p: ndarray, v: ndarray, c: InspectionParameters, spacing: float = 2.0) -> ndarray:
-    """Returns m beyond the sphere in free flight, by a grid of times: never below the infimum."""
-    t = np.arange(0.0, c.passive_safety_horizon + 1e-9, spacing)
+    """Returns m beyond the chief in free flight, by a grid of times: never below the infimum."""
     nearest = np.full(p.shape[1:], np.inf)
-    for moment in t:
-        nearest = np.minimum(nearest, length(free_flight(p, v, moment, c.mean_motion)))
-    return nearest - c.collision_radius
+    for t in np.arange(0.0, c.passive_safety_horizon + 1e-9, spacing):
+        nearest = np.minimum(nearest, heights(free_flight(p, v, t, c.mean_motion), c).max(0))
+    return nearest
 
 
 def motion(p: ndarray, v: ndarray, c: InspectionParameters, spacing: float | None = 2.0) -> ndarray:
@@ -266,6 +259,7 @@ def motion(p: ndarray, v: ndarray, c: InspectionParameters, spacing: float | Non
     a_max = c.max_thrust / c.mass - 3 * n**2 * c.max_distance - 2 * n * fastest
     distance, speed = length(p), length(v)
     radial = (p * v).sum(0) / distance
+    outwards = np.array(c.planes)[:, :3] @ v if c.planes else radial
 
     def root(z: ndarray) -> ndarray:
         return np.sign(z) * np.sqrt(2 * a_max * np.abs(z))
@@ -273,7 +267,7 @@ def motion(p: ndarray, v: ndarray, c: InspectionParameters, spacing: float | Non
     free = np.full_like(speed, np.inf) if spacing is None else free_clearance(p, v, c, spacing)
     return np.stack(
         (
-            root(distance - c.collision_radius) + radial,
+            (root(heights(p, c)) + outwards).max(0),
             c.docking_speed + c.speed_slope * distance - speed,
             root(c.max_distance - distance) - radial,
             free,
@@ -383,21 +377,27 @@ def projection(programs: Programs) -> ndarray:
     return nearest
 
 
-def least_distance(desired: ndarray, a: ndarray, b: ndarray, weight: ndarray) -> ndarray:
-    """Returns the control (3,) of one program with slack, by Lawson and Hanson's non-negative least squares.
+def by_nnls(a: ndarray, b: ndarray, desired: ndarray, weight: ndarray) -> ndarray:
+    """Returns the control (n,) of one program with slack, by Lawson and Hanson's non-negative least squares.
 
-    With z = (u - desired, sqrt(weight) delta) the program is: the shortest z with G z >= h. Weight: infinite for a row
-    that must hold.
+    With z = (u, sqrt(weight) delta) the program is the point closest to (desired, 0) with G z >= h: the dual of its
+    least-distance form (Lawson and Hanson 1974, ch. 23). Controls are in units of limits; an infinite weight (R,) is
+    of a row that must hold.
     """
     soft = np.isfinite(weight)
-    relief = np.eye(len(weight))[:, soft] / np.sqrt(weight[soft])
-    box = np.concatenate((np.eye(3), -np.eye(3)))
-    g = np.block([[a, relief], [box, np.zeros((6, soft.sum()))]])
-    h = -np.concatenate((lhs(desired, a, b), 1 + box @ desired))
-    e = np.concatenate((g.T, h[None]))
-    f = np.append(np.zeros(g.shape[1]), 1.0)
-    r = e @ nnls(e, f)[0] - f
-    return desired - r[:3] / r[-1]
+    relief, eye = np.eye(len(b))[:, soft] / np.sqrt(weight[soft]), np.eye(len(desired))
+    bounds = np.hstack((np.vstack((eye, -eye)), np.zeros((2 * len(desired), soft.sum()))))
+    g, start = np.vstack((np.hstack((a, relief)), bounds)), np.append(desired, np.zeros(soft.sum()))
+    h = np.append(-b, -np.ones(2 * len(desired))) - g @ start
+    length = np.sqrt((g**2).sum(1))
+    g, h = g[length > 0.0] / length[length > 0.0, None], h[length > 0.0] / length[length > 0.0]
+    scale = max(1.0, np.abs(h).max())
+    e, f = np.vstack((g.T, h / scale)), np.append(np.zeros(len(start)), 1.0)
+    r = e @ nnls(e, f, maxiter=10_000)[0] - f
+    return (start - scale * r[:-1] / r[-1])[: len(desired)]
+
+
+PAPERS_WEIGHTS = np.array([limit.weight or INF for limit in PAPER.values()])
 
 
 def feasible(a: ndarray, b: ndarray) -> ndarray:
@@ -422,27 +422,8 @@ def given_slack(programs: Programs) -> ndarray:
 def with_slack(programs: Programs, given: ndarray | None = None) -> ndarray:
     """Returns the reference's controls (N, 3), with `given_slack` unless that is known."""
     given = given_slack(programs) if given is None else given
-    parts = zip(programs.desired, programs.a, programs.b, given, strict=True)
-    return np.array([least_distance(*program) for program in parts])
-
-
-def by_nnls(a: ndarray, b: ndarray, desired: ndarray, weight: float = WEIGHT) -> ndarray:
-    """Returns the controls (6,) of one program of the paper, by the dual of its least-distance form.
-
-    Lawson and Hanson 1974, ch. 23. Controls are in units of limits; the first of its rows must hold, and all of them
-    where the weight of slack is infinite.
-    """
-    soft = np.eye(len(b))[:, 1:] / math.sqrt(weight) if math.isfinite(weight) else np.zeros((len(b), 0))
-    count = soft.shape[1]
-    bounds = np.hstack((np.vstack((np.eye(6), -np.eye(6))), np.zeros((12, count))))
-    g, start = np.vstack((np.hstack((a, soft)), bounds)), np.append(desired, np.zeros(count))
-    h = np.append(-b, -np.ones(12)) - g @ start
-    length = np.sqrt((g**2).sum(1))
-    g, h = g[length > 0.0] / length[length > 0.0, None], h[length > 0.0] / length[length > 0.0]
-    scale = max(1.0, np.abs(h).max())
-    e, f = np.vstack((g.T, h / scale)), np.append(np.zeros(len(start)), 1.0)
-    r = e @ nnls(e, f, maxiter=10_000)[0] - f
-    return (start - scale * r[:-1] / r[-1])[:6]
+    parts = zip(programs.a, programs.b, programs.desired, given, strict=True)
+    return np.array([by_nnls(*program) for program in parts])
 
 
 # The paper's barriers

@@ -191,7 +191,7 @@ def test_the_fast_program_equals_another_solver() -> None:
     wanted = (desired / LIMIT).numpy()
     hard = torch.nonzero(found.status == Status.HARD).flatten().tolist()
     expected = np.stack(
-        [by_nnls(a[..., i].numpy(), b[:, i].numpy(), wanted[:, i], math.inf) for i in hard], 1
+        [by_nnls(a[..., i].numpy(), b[:, i].numpy(), wanted[:, i], np.full(13, math.inf)) for i in hard], 1
     )
     assert len(hard) > 300
     np.testing.assert_allclose((found.control / LIMIT)[:, hard].numpy(), expected, rtol=0, atol=1e-8)

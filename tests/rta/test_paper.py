@@ -22,6 +22,7 @@ from study.machine import finds_compiler
 from study.verification.starts import safe_set
 from tests.oracles import (
     IN_FLIGHT,
+    PAPERS_WEIGHTS,
     C,
     by_nnls,
     drift,
@@ -110,7 +111,7 @@ def test_controls_equal_those_of_another_solver(within: Tensor) -> None:
     a, b, _ = barrier_conditions(within, C)
     a, wanted = (a * LIMIT).numpy(), (desired / LIMIT).numpy()
     asked = torch.nonzero((found.status == Status.HARD) | (found.status == Status.SLACK)).flatten().tolist()
-    expected = np.stack([by_nnls(a[..., i], b[:, i].numpy(), wanted[:, i]) for i in asked], 1)
+    expected = np.stack([by_nnls(a[..., i], b[:, i].numpy(), wanted[:, i], PAPERS_WEIGHTS) for i in asked], 1)
     off = np.abs((found.control / LIMIT).numpy()[:, asked] - expected).max(0)
     assert len(asked) > 1000 and off.max() < 1e-6
     assert (found.status < Status.SLACK).all()
@@ -123,7 +124,7 @@ def test_where_slack_is_given_its_cost_is_that_of_another_solver() -> None:
     a, b, _ = barrier_conditions(x, C)
     a, wanted = (a * LIMIT).numpy(), (desired / LIMIT).numpy()
     slack = torch.nonzero(found.status == Status.SLACK).flatten().tolist()
-    expected = np.stack([by_nnls(a[..., i], b[:, i].numpy(), wanted[:, i]) for i in slack], 1)
+    expected = np.stack([by_nnls(a[..., i], b[:, i].numpy(), wanted[:, i], PAPERS_WEIGHTS) for i in slack], 1)
 
     def cost(u: ndarray) -> ndarray:
         short = np.minimum((a[..., slack] * u).sum(1) + b.numpy()[:, slack], 0.0)[1:]

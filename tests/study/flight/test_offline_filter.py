@@ -17,7 +17,7 @@ from rta.names import CONSTRAINTS
 from rta.paper import GIVEN
 from rta.result import Status
 from study.flight import offline_filter
-from tests.oracles import PSM_TOLERANCE, by_nnls, paper
+from tests.oracles import PAPERS_WEIGHTS, PSM_TOLERANCE, by_nnls, paper
 from tests.support.flights import commands, near_the_limits
 from tests.test_main import assert_refused
 
@@ -79,7 +79,12 @@ def test_another_solver_finds_the_same_controls(
     chosen = np.concatenate([np.flatnonzero(solution["status"] == status)[:60] for status in range(3)])
     again = np.stack(
         [
-            by_nnls(solution["A"][i] * LIMIT, solution["b"][i], given["control_desired"][i] / LIMIT)
+            by_nnls(
+                solution["A"][i] * LIMIT,
+                solution["b"][i],
+                given["control_desired"][i] / LIMIT,
+                PAPERS_WEIGHTS,
+            )
             for i in chosen
         ]
     )
