@@ -8,7 +8,6 @@ import json
 import math
 import pickle
 import sys
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy, deepcopy
 from pathlib import Path
@@ -16,8 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from numpy import ndarray
-from scipy.optimize import linprog
 from torch import Tensor
 
 from inspection.model.attitude import norm
@@ -32,14 +29,13 @@ from rta.fast.filter import batched, fast
 from rta.fast.program import FEASIBLE, FastProgram
 from rta.filter import SafetyFilter
 from rta.limits import Limit
-from rta.names import CONSTRAINTS, PAPERS
-from rta.paper import PaperFilter
+from rta.names import CONSTRAINTS
 from rta.parameters import PERIODS, RtaParameters
 from rta.result import FilterResult, Status
 from rta.robust.filter import RobustFilter
 from study.machine import finds_compiler
 from study.verification.starts import safe_set
-from tests.oracles import PSM_TOLERANCE, at_the_edge, by_nnls, last_psi, paper, states, tensor
+from tests.oracles import PSM_TOLERANCE, at_the_edge, by_nnls, last_psi, paper, tensor
 from tests.support.filters import Unproposed, without_check
 from tests.support.flights import commands, near_the_limits, way
 from tests.support.states import at_rest, impossible
@@ -69,11 +65,6 @@ def safety() -> SafetyFilter:
 
 
 @pytest.fixture(scope="module")
-def result(safety: SafetyFilter) -> FilterResult:
-    return safety.correct(X, U)
-
-
-@pytest.fixture(scope="module")
 def solution() -> FilterResult:
     """Returns the program's answers."""
     return way("batched", checked=False).correct(X, U)
@@ -87,56 +78,6 @@ def conditions() -> tuple[Tensor, Tensor]:
 
 
 # The program
-
-
-def test_safe_control_is_returned_untouched(
-    conditions: tuple[Tensor, Tensor], solution: FilterResult
-) -> None:
-    a, b = conditions
-    safe = ((a * (U / LIMIT)).sum(1) + b > 1e-9).all(0)
-    assert safe.sum() > 20
-    assert (solution.control[:, safe] == U[:, safe]).all()
-    assert (solution.status[safe] == Status.UNTOUCHED).all()
-    assert not solution.intervened[safe].any()
-
-
-def test_corrected_control_satisfies_every_condition(
-    conditions: tuple[Tensor, Tensor], solution: FilterResult
-) -> None:
-    a, b = conditions
-    reached = (a * (solution.control / LIMIT)).sum(1) + b
-    kept = (reached >= -FEASIBLE * a.norm(dim=1)).all(0)
-    assert kept[solution.status <= Status.HARD].all() and (solution.status == Status.HARD).sum() > 300
-    assert not kept[solution.status == Status.SLACK].any() and (solution.status == Status.SLACK).sum() > 30
-
-
-def best(weights: ndarray, a: ndarray, b: ndarray) -> float:
-    """Returns the largest weights (6,) times control within the limits and rows (R, 6), (R,): a linear program."""
-    answer = linprog(-weights, -a, b, bounds=[(-1, 1)] * 6, options={"primal_feasibility_tolerance": 1e-10})
-    assert answer.success
-    return float(-answer.fun)
-
-
-@pytest.mark.parametrize("name", WAYS)
-@pytest.mark.parametrize("gain", [1.5, 20.0, 900.0])
-def test_the_nearest_control_is_nearest_to_what_is_desired_itself(
-    conditions: tuple[Tensor, Tensor], name: str, gain: float
-) -> None:
-    """u is the projection of d exactly where no control v that is permitted has (d - u) . (v - u) > 0."""
-    a, b = conditions
-    few = slice(0, 400)
-    program = way(name, checked=False)
-    answer, clipped = (
-        program.correct(X[:, few], each[:, few]) for each in (gain * U, (gain * U).clamp(-LIMIT, LIMIT))
-    )
-    u, d, was = (part / LIMIT for part in (answer.control, gain * U[:, few], clipped.control))
-    corrected = answer.status == Status.HARD
-    for n in torch.nonzero(corrected).flatten()[:60].tolist():
-        away = (d - u)[:, n].numpy()
-        more = best(away, a[..., n].numpy(), b[:, n].numpy()) - float(away @ u[:, n].numpy())
-        assert more <= 1e-5 * float(np.linalg.norm(away))
-    nearer = (was - d).norm(dim=0) - (u - d).norm(dim=0) > 1e-3
-    assert nearer[corrected].sum() > 20  # than the projection of what is left within the limits
 
 
 def test_slack_is_the_shortfall_of_the_condition(
@@ -158,28 +99,6 @@ def test_a_condition_that_no_control_changes_is_said_to_be_broken_by_every_way()
     for name in WAYS:
         found = way(name, checked=False).correct(x, torch.zeros(6, 1, dtype=torch.float64))
         assert found.status == Status.SLACK and found.slack[3] == pytest.approx(0.03 - 0.001, rel=1e-3)
-
-
-@pytest.mark.parametrize("name", ["safe", "near the limits"])
-def test_the_fast_program_answers_as_piqp(name: str) -> None:
-    """500 states: the same statuses; where every condition can hold controls to 1e-5 of a limit.
-
-    The paper's program yields there, too, by its finite weight: a condition that controls hardly change by up to 2e-4.
-    """
-    filter_ = SafetyFilter(C, R)
-    x = safe_set(500, 3, filter_)[0] if name == "safe" else X[:, :500]
-    desired = 1.5 * commands(500, seed=3)
-    found, piqp = (made(C, filter_.limits).correct(x, desired) for made in (FastProgram, PaperFilter))
-    assert torch.equal(found.status, piqp.status) and torch.equal(found.h, piqp.h)
-    hard = found.status == Status.HARD
-    assert hard.sum() > 150
-    off = ((found.control - piqp.control) / LIMIT).abs().amax(0)[hard]
-    assert off.max() < 2e-4 and (off < 1e-5).double().mean() > 0.95
-    # without slack there is nothing that yields
-    must = {name: limit._replace(weight=None) for name, limit in filter_.limits.items()}
-    piqp = PaperFilter(C, must).correct(x[:, hard], desired[:, hard])
-    assert (piqp.status == Status.HARD).all()
-    torch.testing.assert_close(found.control[:, hard] / LIMIT, piqp.control / LIMIT, rtol=0, atol=1e-5)
 
 
 def test_the_fast_program_equals_another_solver() -> None:
@@ -226,12 +145,9 @@ def test_corrections_equal_the_closed_form() -> None:
 # What is given, and what is said
 
 
-@pytest.mark.parametrize(
-    ("name", "checked"), [*((name, False) for name in WAYS), ("batched", True), ("C", True)]
-)
+@pytest.mark.parametrize(("name", "checked"), [("piqp", False), ("batched", False), ("C", True)])
 def test_a_demand_that_is_no_number_is_no_wish_and_filtered(name: str, checked: bool) -> None:
-    few = 4 if checked and name != "C" else 100
-    x, u, f = X[:, :few], U[:, :few], way(name, checked)
+    x, u, f = X[:, :100], U[:, :100], way(name, checked)
     for group in (THRUST, TORQUE):
         nothing = u.clone()
         nothing[group] = 0.0
@@ -264,7 +180,7 @@ def test_what_is_demanded_is_shortened_along_its_direction() -> None:
 
 @pytest.mark.parametrize("name", WAYS)
 def test_a_limit_that_is_broken_is_said_whatever_the_programs_answered(name: str) -> None:
-    few = slice(0, 1000 if name == "C" else 60)
+    few = slice(0, 1000 if name == "C" else 30)
     f, x, u = way(name), X[:, few], U[:, few]
     answer = f.correct(x, u)
     assert (answer.violated.numpy() == (paper(x.numpy()) < -PSM_TOLERANCE).any(0)).all()
@@ -286,37 +202,21 @@ def test_what_is_not_finite_never_leaves_the_filter(name: str, value: float) -> 
     assert answer.intervened.all()
     assert (answer.status[:16] == Status.UNSOLVED).all() and not answer.verified[:16].any()
     assert (answer.status[16:] < Status.UNSOLVED).all()
+    assert (answer.control[:, :16] == 0.0).all() or not math.isnan(value)
 
 
-@pytest.mark.parametrize("name", WAYS)
-def test_a_state_that_is_not_finite_gets_zero_control(name: str) -> None:
-    x = X[:, :16].clone()
-    x.diagonal().fill_(math.nan)
-    assert (way(name).correct(x, U[:, :16]).control == 0.0).all()
-
-
-@pytest.mark.parametrize("name", WAYS)
-def test_the_control_is_within_the_actuators_limits_where_nothing_can_be_checked(name: str) -> None:
-    """Of a body that turns at three times its limits, in a state that none can have."""
-    x = impossible("T = -1e150").repeat(1, 200)
-    x[T] = -300.0
-    x[OMEGA] = (
-        3.0 * C.max_rate * (2 * torch.rand(3, 200, generator=torch.Generator().manual_seed(0)).double() - 1)
-    )
-    answer = way(name).correct(x, commands(200, seed=2))
-    assert not answer.verified.any()
-    assert (answer.control.abs() <= LIMIT * (1 + 1e-12)).all(), (answer.control / LIMIT).abs().amax(1)
-
-
-def test_where_only_thrust_is_checked_torque_is_within_the_actuators_limits() -> None:
+@pytest.mark.parametrize("kind", ["piqp", "C", "torque is not checked"])
+def test_the_control_is_within_the_actuators_limits_where_nothing_can_be_checked(kind: str) -> None:
+    """Of a body that turns at three times its limits, in a state that none can have, or where torque is not checked."""
     bounds = Uncertainty(torque_gain=0.5, rate=0.05)
-    f = batched(RobustFilter(C, RtaParameters(unverified=True), uncertainty=bounds))
-    assert f.checked == (True, False)
-    x = at_rest().repeat(1, 200)
-    x[OMEGA] = (
-        3.0 * C.max_rate * (2 * torch.rand(3, 200, generator=torch.Generator().manual_seed(0)).double() - 1)
-    )
-    answer = f.correct(x, commands(200, seed=2))
+    if kind == "torque is not checked":
+        f, x = RobustFilter(C, RtaParameters(unverified=True), uncertainty=bounds), at_rest().repeat(1, 50)
+    else:
+        f, x = way(kind), impossible("T = -1e150").repeat(1, 50)
+        x[T] = -300.0
+    x[OMEGA] = 3.0 * C.max_rate * (2 * torch.rand(3, 50, generator=torch.Generator().manual_seed(0)) - 1)
+    answer = f.correct(x, commands(50, seed=2))
+    assert not answer.verified.any()
     assert (answer.control.abs() <= LIMIT * (1 + 1e-12)).all(), (answer.control / LIMIT).abs().amax(1)
 
 
@@ -329,26 +229,6 @@ def test_reported_values_are_exact(safety: SafetyFilter, edge: float) -> None:
         h = safety.correct(tensor(x), commands(x.shape[1])).h
         torch.testing.assert_close(h, safety.values(tensor(x)), rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(h, paper(x), rtol=0, atol=PSM_TOLERANCE)
-
-
-def test_a_verified_call_has_no_slack(result: FilterResult) -> None:
-    assert result.verified.sum() > 100 and (~result.verified).sum() > 100
-    assert (result.status[result.verified] <= Status.HARD).all()
-    assert (result.slack[:, result.verified] == 0.0).all()
-    assert not (result.verified & result.violated).any()
-
-
-@pytest.mark.parametrize("component", [0, 6, 10, 13])
-def test_nan_state_is_unsolved_and_leaves_its_neighbours_alone(
-    safety: SafetyFilter, result: FilterResult, component: int
-) -> None:
-    x = X.clone()
-    x[component, 500] = math.nan
-    faulty = safety.correct(x, U)
-    others = torch.arange(X.shape[1]) != 500
-    assert faulty.status[500] == Status.UNSOLVED and not faulty.verified[500]
-    for field in dataclasses.fields(FilterResult):
-        assert (getattr(faulty, field.name)[..., others] == getattr(result, field.name)[..., others]).all()
 
 
 # What a hold does
@@ -401,27 +281,9 @@ def test_the_condition_counts_with_the_mean_rate_of_a_hold() -> None:
     assert torch.equal(found[others], x[others])
 
 
-def test_conditions_are_the_same_bits_at_all_periods_where_gains_are_not_capped() -> None:
-    slow = [name for name, limit in SafetyFilter(C).limits.items() if max(limit.gains) <= 0.05]
-    assert slow == ["passive_safety"]
-    x = tensor(states(200, seed=4))
-    of_paper = [SafetyFilter(C, RtaParameters(filter="paper", period=period)) for period in PERIODS]
-    of_check = [SafetyFilter(C, RtaParameters(period=period)) for period in PERIODS]
-    row = PAPERS.index("passive_safety")
-    for filters, rows in ((of_paper, slice(None)), (of_check, row)):
-        first, *others = (each.program.evaluated(x) for each in filters)
-        for other in others:
-            for one, same in zip(first, other, strict=True):
-                assert torch.equal(one[rows].nan_to_num(), same[rows].nan_to_num())
-    capped = of_check[2].program.evaluated(x)[1], of_check[0].program.evaluated(x)[1]
-    assert not torch.equal(*(part.nan_to_num() for part in capped))
-
-
-@pytest.mark.parametrize(
-    "period", [*(pytest.param(period, marks=pytest.mark.campaign) for period in PERIODS[:2]), 10.0]
-)
-def test_a_verified_control_never_meets_the_plants_clamp(period: float) -> None:
+def test_a_verified_control_never_meets_the_plants_clamp() -> None:
     """The same bits in a plant that holds the rates and in one that does not, and the answers of both models."""
+    period = 10.0
     free, held = (dataclasses.replace(C, saturate_rates=saturates) for saturates in (False, True))
     one, other = (quick(SafetyFilter(c, RtaParameters(period=period))) for c in (free, held))
     x = safe_set(60, 2, one)[0]
@@ -509,15 +371,6 @@ def test_what_error_bounds_leave_unchecked_is_said() -> None:
         RobustFilter(C, uncertainty=Uncertainty(minimum_thrust=0.6, rate=1.0))
 
 
-def test_the_check_alone_changes_what_is_proposed_within_the_limits() -> None:
-    f = quick(Unproposed(C))
-    x, u = tensor(near_the_limits(300, seed=5)), 1.2 * commands(300, seed=5)
-    answer = f.correct(x, u)
-    changed = (answer.control != u.clamp(-LIMIT, LIMIT)).any(0)
-    assert torch.equal(changed | answer.backup, answer.backup) and 30 < changed.sum() < 300
-    assert (answer.status[answer.verified] <= Status.HARD).all() and answer.verified.sum() > 50
-
-
 def test_states_that_are_not_finite_are_never_verified() -> None:
     """Also where there is no program, of which a number that is none would show it."""
     f = Unproposed(C)
@@ -542,42 +395,34 @@ def clear_of_a_ball(x: Tensor, c: Limits) -> Tensor:
     return norm(torch.stack((x[0], x[1] - 80.0, x[2]))) - 70.0
 
 
-@pytest.fixture
-def restless() -> Iterator[None]:
-    """Threads take turns in the middle of everything."""
-    interval = sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)
-    yield
-    sys.setswitchinterval(interval)
-
-
-@pytest.mark.usefixtures("restless")
-@pytest.mark.parametrize(("is_compiled", "calls"), [(False, 2), (True, 20)])
-def test_threads_may_share_a_filter(is_compiled: bool, calls: int) -> None:
+def test_threads_may_share_a_compiled_filter() -> None:
+    """In many calls of what keeps tensors between them, while threads take turns in the middle of everything."""
     shared, other = (without_check(with_a_ball()) for _ in range(2))  # the check keeps nothing
-    if is_compiled:  # many calls of what keeps tensors between them
-        shared, other = fast(shared, "cpu", 16), batched(other)
+    shared, other = fast(shared, "cpu", 16), batched(other)
     blocks = [slice(start, start + 16) for start in range(0, 64, 16)]
-    expected = shared.correct(X[:, :64], U[:, :64])
-    alone = other.correct(X[:, :64], U[:, :64])
-    torch.testing.assert_close(expected.control, alone.control, rtol=0, atol=1e-9)
+    expected = other.correct(X[:, :64], U[:, :64])
 
     def answers(block: slice) -> list[Tensor]:
-        return [shared.correct(X[:, block], U[:, block]).control for _ in range(calls)]
+        return [shared.correct(X[:, block], U[:, block]).control for _ in range(20)]
 
-    with ThreadPoolExecutor(len(blocks)) as threads:
-        for block, controls in zip(blocks, threads.map(answers, blocks), strict=True):
-            for control in controls:
-                torch.testing.assert_close(control, expected.control[:, block], rtol=0, atol=1e-9)
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(len(blocks)) as threads:
+            found = [*threads.map(answers, blocks)]
+    finally:
+        sys.setswitchinterval(interval)
+    for block, controls in zip(blocks, found, strict=True):
+        for control in controls:
+            torch.testing.assert_close(control, expected.control[:, block], rtol=0, atol=1e-9)
 
 
 def test_a_copy_is_the_same_filter() -> None:
     safety = with_a_ball()
-    x, u = X[:, :20], U[:, :20]
-    expected = safety.correct(x, u)
+    expected = safety.correct(X[:, :3], U[:, :3])
     for other in (copy(safety), deepcopy(safety), pickle.loads(pickle.dumps(safety))):
         assert other.names == safety.names == (*CONSTRAINTS, "ball")
-        assert torch.equal(other.correct(x, u).control, expected.control)
+        assert torch.equal(other.correct(X[:, :3], U[:, :3]).control, expected.control)
 
 
 def test_a_copy_with_other_parts_answers_by_them(safety: SafetyFilter) -> None:
