@@ -13,7 +13,7 @@ from inspection.model.state import OMEGA, SIZE, THETA_S, THRUST, E, P, Q, T, V
 from rta.fast.program import FEASIBLE, NO_INFLUENCE
 from rta.filter import SafetyFilter
 from rta.paper import GIVEN
-from rta.result import FilterResult, Status
+from rta.result import Status
 from tests import golden
 from tests.support.flights import way as filter_of
 
@@ -73,39 +73,28 @@ def kept(way: str, safety: SafetyFilter, x: Tensor, control: Tensor) -> tuple[Te
     return holds.all(0), (holds | fixed).all(0)
 
 
-def check(way: str, x: Tensor, desired: Tensor, answer: FilterResult) -> None:
-    """Asserts what the statuses of programs promise."""
-    safety, within = filter_of(way, checked=False), desired.clamp(-LIMIT, LIMIT)
+@pytest.mark.parametrize("way", WAYS)
+def test_what_programs_call_solved_satisfies_every_condition(way: str) -> None:
+    safety = filter_of(way, checked=False)
+    x, desired = near_and_beyond(800, 1)
+    answer, within = safety.correct(x, desired), desired.clamp(-LIMIT, LIMIT)
+    assert not answer.verified.any() and not answer.backup.any()
     all_hold, holds = kept(way, safety, x, answer.control)
     _, would_hold = kept(way, safety, x, within)
     applied, clipped = (answer.control == desired).all(0), (answer.control == within).all(0)
     solved = answer.status <= Status.HARD
-    assert solved.sum() > len(x[0]) // 10
-    assert holds[solved].all()
+    assert solved.sum() > 80 and holds[solved].all()
     assert torch.equal(applied, answer.status == Status.UNTOUCHED)
-    assert (
-        all_hold[answer.status == Status.SLACK].sum() <= len(x[0]) // 50_000
-    )  # by less than PIQP's rounding
+    assert not all_hold[answer.status == Status.SLACK].any()
     breaks = ~would_hold & solved
-    assert breaks.sum() > len(x[0]) // 50 and not clipped[breaks].any()
+    assert breaks.sum() > 16 and not clipped[breaks].any()
     assert (answer.control.abs() <= LIMIT).all()
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("count", [800, pytest.param(100_000, marks=pytest.mark.campaign)])
-def test_what_programs_call_solved_satisfies_every_condition(way: str, count: int) -> None:
-    safety = filter_of(way, checked=False)
-    x, desired = near_and_beyond(count, 1)
-    answer = safety.correct(x, desired)
-    assert not answer.verified.any() and not answer.backup.any()
-    check(way, x, desired, answer)
-
-
-@pytest.mark.parametrize(("way", "count"), [("batched", 60), ("C", 800)])
-def test_the_checked_filters_statuses_say_what_they_promise(way: str, count: int) -> None:
+def test_the_checked_filters_statuses_say_what_they_promise() -> None:
     """A verified control may break conditions, which keep more than limits; what is not verified has its slack said."""
-    safety = filter_of(way)
-    x, desired = near_and_beyond(count, 2)
+    safety = filter_of("C")
+    x, desired = near_and_beyond(800, 2)
     answer = safety.correct(x, desired)
     assert (answer.control.abs() <= LIMIT).all() and (answer.status < Status.UNSOLVED).all()
     assert torch.equal(answer.intervened, (answer.control != desired).any(0))
@@ -113,8 +102,8 @@ def test_the_checked_filters_statuses_say_what_they_promise(way: str, count: int
     assert (answer.status[answer.verified] <= Status.HARD).all()
     assert (answer.slack[:, answer.verified] == 0.0).all()
     slack = answer.status == Status.SLACK
-    assert (answer.slack[:, slack] > 0.0).any(0).all() and slack.sum() > count // 10
-    assert answer.verified.any() and answer.backup.sum() > count // 20
+    assert (answer.slack[:, slack] > 0.0).any(0).all() and slack.sum() > 80
+    assert answer.verified.any() and answer.backup.sum() > 40
 
 
 @pytest.mark.parametrize("way", ["piqp", "C"])

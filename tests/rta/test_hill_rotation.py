@@ -1,9 +1,6 @@
 """The filter follows the turning of Hill's frame of its model."""
 
-import math
-
 import numpy as np
-import pytest
 import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
@@ -13,14 +10,11 @@ from inspection.model.dynamics import drift, step
 from inspection.model.orbit import closest_times, free_flight
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
-from rta.fast.filter import batched
 from rta.filter import SafetyFilter
 from rta.lie_derivatives import lie_derivative
 from rta.limits import PARTS
 from rta.paper import hocbf
 from rta.parameters import RtaParameters
-from study.verification.adversaries import adversarial
-from study.verification.starts import safe_set
 
 C = InspectionParameters(hill_rotation=True)
 DT = 0.02  # s
@@ -51,21 +45,3 @@ def test_every_h_changes_as_its_lie_derivative_says(random_states) -> None:
     np.testing.assert_allclose(rate, (after - before) / (2 * DT), rtol=2e-5, atol=2e-7)
     paper = InspectionParameters()
     assert (rate - lie_derivative(barriers, x, drift(x, paper))[1]).abs().max() > 1e-5  # the omitted part
-
-
-@pytest.mark.campaign
-def test_proposals_alone_hardly_break_a_limit_in_half_a_minute() -> None:
-    """No check is known of a frame that turns: what a hold of 1 s does between two calls is all that breaks one."""
-    safety = batched(SafetyFilter(C, RtaParameters(unverified=True)))
-    x, _, _ = safe_set(48, 1, safety)
-    adversary, random = adversarial(safety), torch.Generator().manual_seed(0)
-    limit = x.new_tensor(C.control_limit)[:, None]
-    desired = torch.zeros_like(x[:CONTROL_SIZE])
-    smallest = math.inf
-    for t in range(30):
-        if t % 5 == 0:
-            desired = limit * (2.0 * torch.rand(desired.shape, generator=random, dtype=x.dtype) - 1.0)
-            desired[:, ::2] = adversary(float(t), x)[:, ::2]
-        x = step(x, safety.correct(x, desired).control, 1.0, C)
-        smallest = min(smallest, safety.values(x).min().item())
-    assert smallest >= -0.02

@@ -1,6 +1,5 @@
 """What is desired is led to free flights that stay clear of the chief, by a little, before it is filtered."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from inspection.environment import InspectionEnv
 from inspection.model.draws import isotropic, shoemake
 from inspection.model.dynamics import integrate, step
 from inspection.model.parameters import InspectionParameters
@@ -80,24 +78,19 @@ def test_what_is_led_stays_clear_and_nothing_else_is_changed(period: float) -> N
     assert (asked[TORQUE] == u[TORQUE]).all() and (asked[THRUST].abs() <= C.max_thrust).all()
 
 
-@pytest.mark.parametrize("steps", [keep_clear.STEPS, pytest.param([], marks=pytest.mark.campaign)])
-def test_once_clear_it_stays_clear_whatever_is_desired(
-    steps: list[float], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """50 calls of random thrust; by itself it loses some on the way. Without a step that helps it coasts."""
-    monkeypatch.setattr(keep_clear, "STEPS", steps)
+def test_once_clear_it_stays_clear_whatever_is_desired() -> None:
+    """25 calls of random thrust; by itself it loses some on the way."""
     x = returning(400, 3)
     nothing = torch.zeros(6, x.shape[1], dtype=torch.float64)
     x = step(x, nothing + torch.tensor([[0.3], [0.2], [0.1], [0.0], [0.0], [0.0]]), 1.0, C)
-    x = x[:, keep_clear.is_clear(x, nothing, 1.0, C)][:, :60]
+    x = x[:, keep_clear.is_clear(x, nothing, 1.0, C)][:, :40]
     bare, lost = x, torch.zeros(x.shape[1], dtype=torch.bool)
-    for i in range(50):
+    for i in range(25):
         u = desired(x.shape[1], 10 + i, 0.1)
         x, bare = step(x, led(x, u, 1.0, C), 1.0, C), step(bare, u, 1.0, C)
         lost |= ~keep_clear.is_clear(bare, torch.zeros_like(u), 1.0, C)
-        if i % 25 == 24:
-            assert (nearest(x) >= C.collision_radius).all()
-    assert lost.sum() > 10
+    assert (nearest(x) >= C.collision_radius).all()
+    assert lost.sum() > 5
 
 
 def test_the_filter_has_the_last_word() -> None:
@@ -111,17 +104,3 @@ def test_the_filter_has_the_last_word() -> None:
     answer, alone = kept_clear(safety, C).correct(x, u), safety.correct(x, asked)  # type: ignore[misc]
     assert (answer.control == alone.control).all()
     assert (answer.intervened == (answer.control != u).any(0)).all() and answer.intervened.any()
-
-
-@pytest.mark.campaign
-def test_an_environment_that_ends_anywhere_ends_clear() -> None:
-    x = returning(400, 8)
-    safety = SafetyFilter(C).safety()
-    x = x[:, SafetyFilter(C).is_safe(x)][:, :40]
-    shares = []
-    for each in (safety, kept_clear(safety, C)):
-        env = InspectionEnv(x.shape[1], C, [torch.Generator().manual_seed(0)], each)
-        env.start(x, torch.tensor([[1.0], [0.0], [0.0]], dtype=torch.float64).expand(3, x.shape[1]))
-        env.step(torch.zeros(x.shape[1], 6))
-        shares.append(float((nearest(env.x) >= C.collision_radius).mean()))
-    assert shares[0] < 0.5 and shares[1] == 1.0 and math.isfinite(env.x.sum())

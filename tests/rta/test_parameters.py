@@ -10,7 +10,7 @@ from inspection.world.uncertainty import Uncertainty
 from rta.fast.filter import fast
 from rta.fast.program import FastProgram
 from rta.filter import SafetyFilter
-from rta.limits import PAPER, Limit
+from rta.limits import PAPER
 from rta.paper import PaperFilter
 from rta.parameters import PERIODS, QP_SOLVERS, RtaParameters
 from rta.robust.filter import RobustFilter
@@ -34,10 +34,6 @@ def test_gains_are_capped_for_the_longest_hold() -> None:
     found = RobustFilter(C, uncertainty=Uncertainty(longest_hold=3.0, position=0.1))
     assert found.longest_hold == 3.0
     assert found.limits["dynamic_speed"].gains == (0.5 / 3.0,) and found.limits["collision"].gains == (0.1,)
-
-
-def test_the_papers_gains_are_never_capped() -> None:
-    assert SafetyFilter(C, RtaParameters(filter="paper", period=10.0)).limits == PAPER
 
 
 @pytest.mark.parametrize("filter_", ["checked", "paper"])
@@ -70,8 +66,3 @@ def test_the_solver_is_the_one_that_is_named(filter_: str) -> None:
 def test_what_is_no_setting_is_refused(given: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         RtaParameters(**given)
-
-
-def test_gains_and_weights_are_those_of_the_limits() -> None:
-    own = Limit(lambda x, c: 25.0 - x[3] ** 2, (0.3,), 7.0)
-    assert SafetyFilter(C, extra={"own": own}).limits["own"] == own

@@ -1,7 +1,6 @@
 """The turn to the Sun within bounds, flown in worlds at their corners: exclusion, temperature, battery, rates hold."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,12 +14,9 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, TORQUE, E, Q, T
 from inspection.world.uncertainty import Uncertainty
 from rta.check.commit import NoCheckError
-from rta.fast.filter import batched
-from rta.parameters import RtaParameters
 from rta.robust.attitude_check import followed, hold_bounds, law, wanted
 from rta.robust.attitude_constants import heating
 from rta.robust.check import RobustCheck
-from rta.robust.filter import RobustFilter
 from rta.robust.prediction import predicted
 from tests.oracles import attitude, hypercube, moved
 from tests.rta.robust.uncertain_world import PERIOD, committed, of_torque
@@ -150,8 +146,8 @@ def starts(found: RobustCheck, count: int, seed: int) -> Tensor:
     return x
 
 
-def at_law(found: RobustCheck) -> Callable[[Tensor, Tensor], Tensor]:
-    return lambda x, bound: torch.cat((torch.zeros_like(x[:3]), law(x, found.attitude)))
+def at_law(found: RobustCheck, x: Tensor) -> Tensor:
+    return torch.cat((torch.zeros_like(x[:3]), law(x, found.attitude)))
 
 
 @pytest.mark.parametrize(("latency", "held"), [(1, 1), (2, 1), (2, 2), (3, 1), (3, 2)])
@@ -192,45 +188,25 @@ def test_what_the_law_first_answers_is_off_by_no_more_than_is_counted(latency: i
     assert (counted > without).any() == (latency > 1)  # a hold may end at its first call
 
 
-@pytest.mark.parametrize(
-    ("uncertainty", "calls"),
-    [
-        (U1, 40),
-        pytest.param(U1, 400, marks=pytest.mark.campaign),
-        pytest.param(replace(U1, latency=0, longest_hold=0.0), 400, marks=pytest.mark.campaign),
-        pytest.param(Uncertainty(attitude=0.1, rate=0.01), 400, marks=pytest.mark.campaign),
-    ],
-    ids=["shortly", "u1", "each call", "sensors"],
-)
-def test_the_law_keeps_the_limits_from_the_edge_whatever_is_measured(
-    uncertainty: Uncertainty, calls: int
-) -> None:
+@pytest.mark.parametrize("uncertainty", [U1, Uncertainty(attitude=0.1, rate=0.01)], ids=["U1", "sensors"])
+def test_the_law_keeps_the_limits_from_the_edge_whatever_is_measured(uncertainty: Uncertainty) -> None:
     found = backup(uncertainty)
+    assert found.attitude
     world = World(starts(found, 120, 1), uncertainty, 2)
-    answer = at_law(found)
-    for k in range(calls):
-        u = answer(*world.measured())
-        for x in world.fly(u, misses=k > 0):
+    for k in range(200):
+        for x in world.fly(at_law(found, world.measured()[0]), misses=k > 0):
             least = attitude(x.numpy(), C)
             assert (least >= -ROUNDED).all(), (k, np.argwhere(least < -ROUNDED)[:3], least.min(1))
-    if calls < 400:
-        return
     sun, _ = sun_and_earth_in_body(world.x)
     assert (-sun[0]).min() > math.cos(2.0 * found.attitude.angle + 0.1)  # the panels are at the Sun
-    before, after = world.x, world.fly(answer(*world.measured()))[-1]
-    assert (after[E] > before[E]).all()
-    assert (
-        after[T] < before[T]
-    ).double().mean() > 0.9  # some still leave the cold attitude that is no place of rest
 
 
-@pytest.mark.parametrize("calls", [10, pytest.param(120, marks=pytest.mark.campaign)])
-def test_any_torque_is_asked_for_and_no_limit_breaks(calls: int) -> None:
+def test_any_torque_is_asked_for_and_no_limit_breaks() -> None:
     found = backup()
     world = World(starts(found, 90, 3), U1, 4)
     limit, acted = C.max_torque * torch.linspace(0.02, 1.0, 90, dtype=torch.float64), 0
     torque = torch.zeros(3, 90, dtype=torch.float64)
-    for k in range(calls):
+    for k in range(10):
         if k % 5 == 0:
             torque = limit * world.sign(3)
         x, bound = world.measured()
@@ -243,9 +219,7 @@ def test_any_torque_is_asked_for_and_no_limit_breaks(calls: int) -> None:
         for x in world.fly(u, misses=k > 0):
             least = attitude(x.numpy(), C)
             assert (least >= -ROUNDED).all(), (k, np.argwhere(least < -ROUNDED)[:3], least.min(1))
-    if calls == 120:
-        assert 1000 < acted < 10_050  # of 10,800
-    assert 0.09 * 90 * calls < acted < 0.97 * 90 * calls
+    assert 81 < acted < 873  # of 900
 
 
 @pytest.mark.parametrize("slope", [0.05, 0.16, 0.3])
@@ -267,20 +241,14 @@ BEYOND = {
 }
 
 
-@pytest.mark.parametrize(
-    "what",
-    [
-        "missed calls",
-        *(pytest.param(what, marks=pytest.mark.campaign) for what in ("errors of rates", "inertia")),
-    ],
-)
+@pytest.mark.parametrize("what", BEYOND)
 def test_a_limit_breaks_beyond_the_bounds_of_the_check(what: str) -> None:
     bounds, true = BEYOND[what]
     found = backup(bounds)
     world = World(starts(found, 90, 1), true, 2)
-    least, answer = np.inf, at_law(found)
+    least = np.inf
     for k in range(90):
-        for x in world.fly(answer(*world.measured()), misses=k > 0):
+        for x in world.fly(at_law(found, world.measured()[0]), misses=k > 0):
             least = min(least, attitude(x.numpy(), C).min())
     assert least < -0.01
 
@@ -295,22 +263,3 @@ def test_bounds_without_a_rest_have_no_check() -> None:
     ):
         with pytest.raises(NoCheckError, match=reason):
             of_torque(c, PERIOD, replace(U1, **wide))
-
-
-@pytest.mark.campaign
-def test_an_attitude_that_is_not_checked_can_break_a_limit() -> None:
-    """From a start that is accepted, with torque gains off by 0.5: what was flown elsewhere is no promise."""
-    bounds = Uncertainty(torque_gain=0.5, rate=0.05)
-    safety = batched(RobustFilter(C, RtaParameters(unverified=True), uncertainty=bounds))
-    assert safety.checked == (True, False)
-    start = """100 0 0  0 0 0
-               0.60185129 0.65051919 -0.05255201 -0.46025873  0.01196009 0.01766524 -0.01720103
-               9.991737365722656 7 1.84094703"""
-    x = torch.tensor([*map(float, start.split())], dtype=torch.float64)[:, None]
-    assert (safety.values(x) >= 0.0).all()
-    gains = torch.tensor([1.0, 1.0, 1.0, 0.5, 1.5, 0.5], dtype=torch.float64)[:, None]
-    lowest = safety.values(x)
-    for _ in range(60):
-        x = step(x, gains * safety.correct(x, torch.zeros_like(gains)).control, 1.0, C)
-        lowest = lowest.minimum(safety.values(x))
-    assert [name for name, h in zip(safety.names, lowest[:, 0], strict=True) if h < 0.0] == ["temperature"]

@@ -51,42 +51,24 @@ def test_every_limit_is_kept_in_the_set(quantum: float, tuning: Tuning, limit: s
 
 
 @pytest.mark.parametrize(
-    ("how", "misses", "seconds"),
-    [
-        ("worst", "always", 100.0),
-        pytest.param("steady", "random", 1000.0, marks=pytest.mark.campaign),
-        pytest.param("worst", "always", 1000.0, marks=pytest.mark.campaign),
-    ],
+    ("bounds", "counted", "stays"),
+    [(U1, U1, True), (ROUNDED, ROUNDED, True), (ROUNDED, FINE, False)],
+    ids=["U1", "rounded", "rounding forgotten"],
 )
-def test_nothing_leads_out_of_the_set(how: str, misses: str, seconds: float) -> None:
-    x = within(TERMINAL_SET, 50, 1, at_call=True)
+def test_nothing_leads_out_of_the_set(bounds: Uncertainty, counted: Uncertainty, stays: bool) -> None:
+    """What thrusters round off that give some values only counts in the set: they leave one without it."""
+    w = RobustTerminalSet.of(C, PERIOD, counted)
+    x = within(w, 50, 1, at_call=True)
     x[P] *= 1 + 1e-9
     x[P] *= (C.max_distance / x[P].norm(dim=0)).clamp(max=1.0)
-    least, end, states = flown(x, TERMINAL_SET, World(50, 2, how, misses), seconds, None)
-    assert (least >= 0.0).all()
-    for y in (*states, end):
-        r = y[P].norm(dim=0)
-        assert ((y[V] - TERMINAL_SET.field(y[P])).norm(dim=0) <= TERMINAL_SET.calm(r)).all()
-        assert (r >= TERMINAL_SET.nearest).all() and (r <= C.max_distance).all()
-
-
-@pytest.mark.campaign
-@pytest.mark.parametrize("uncertainty", ROUNDED, ids=str)
-def test_nothing_leads_out_of_the_set_of_thrusters_that_give_some_values_only(
-    uncertainty: Uncertainty,
-) -> None:
-    """What they round off counts in the set: one without it they leave, unless the other errors are many."""
-    bounds = replace(uncertainty, minimum_thrust=0.0, thrust_quantum=0.0)
-    sets = [(RobustTerminalSet.of(C, PERIOD, uncertainty), True)]
-    if bounds == FINE:
-        sets.append((RobustTerminalSet.of(C, PERIOD, bounds), False))
-    for terminal_set, stays in sets:
-        x, world = within(terminal_set, 50, 1, at_call=True), World(50, 2, "worst", "always", uncertainty)
-        least, end, states = flown(x, terminal_set, world, 600.0, None)
-        calm = torch.stack([terminal_set.calm(y[P].norm(dim=0)) for y in (*states, end)])
-        off = torch.stack([(y[V] - terminal_set.field(y[P])).norm(dim=0) for y in (*states, end)])
-        assert (off <= calm).all() == stays
-        assert not stays or (least >= 0.0).all()
+    least, end, states = flown(x, w, World(50, 2, "worst", "always", bounds), 100.0, None)
+    assert not stays or (least >= 0.0).all()
+    inside = [
+        ((y[V] - w.field(y[P])).norm(dim=0) <= w.calm(r)) & (r >= w.nearest) & (r <= C.max_distance)
+        for y in (*states, end)
+        for r in [y[P].norm(dim=0)]
+    ]
+    assert torch.stack(inside).all() == stays
 
 
 @pytest.mark.parametrize("hold", [1.0, 2.0, 3.0])

@@ -36,12 +36,7 @@ U1 = Uncertainty(
     hill_rotation=True,
 )
 FINE = Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0)
-ROUNDED = (  # with thrusters that give some values only
-    replace(FINE, thrust_quantum=0.1),
-    replace(FINE, minimum_thrust=0.02),
-    replace(U1, thrust_quantum=0.05),
-    replace(U1, minimum_thrust=0.02),
-)
+ROUNDED = replace(FINE, thrust_quantum=0.1)  # with thrusters that give some values only
 LOOK = 0.5  # s
 Law = Callable[[Tensor, Tensor, Tensor], Tensor]  # states, torque and error bounds to thrust
 
