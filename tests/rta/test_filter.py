@@ -35,7 +35,7 @@ from rta.result import FilterResult, Status
 from rta.robust.filter import RobustFilter
 from study.machine import finds_compiler
 from study.verification.starts import safe_set
-from tests.oracles import PSM_TOLERANCE, at_the_edge, by_nnls, last_psi, paper, tensor
+from tests.oracles import PSM_TOLERANCE, at_the_edge, by_nnls, last_psi, moved, paper, tensor
 from tests.support.filters import Unproposed, without_check
 from tests.support.flights import commands, near_the_limits, way
 from tests.support.states import at_rest, impossible
@@ -236,40 +236,27 @@ def test_reported_values_are_exact(safety: SafetyFilter, edge: float) -> None:
 
 @pytest.mark.parametrize("hold", PERIODS)
 def test_torque_within_rates_brings_no_rate_beyond_after_a_hold(hold: float) -> None:
-    """Of unequal moments, by RK4: but for what is of second order, the largest |omega''| times T^2 / 2."""
-    inertia, rate, count = (0.04, 0.06, 0.09), 0.99 * math.radians(2), 500
-    moments = tensor(np.array(inertia))[:, None]
+    """Of unequal moments: but for what is of second order, the largest |omega''| times T^2 / 2."""
+    c = dataclasses.replace(C, inertia=(0.04, 0.06, 0.09), saturate_rates=False)
+    rate, count, steps = 0.99 * C.max_rate, 500, 200
     generator = torch.Generator().manual_seed(int(hold))
-    x = torch.zeros(16, count, dtype=torch.float64)
+    x = at_rest().repeat(1, count)
     x[OMEGA] = rate * (2 * torch.rand(3, count, generator=generator, dtype=torch.float64) - 1)
     u = torch.randn(6, count, generator=generator, dtype=torch.float64)
-    u[TORQUE] *= 2.0 * moments * rate / hold
-    found = within_rates(x, u, hold, inertia, rate)
+    u[TORQUE] *= 2.0 * tensor(np.array(c.inertia))[:, None] * rate / hold
+    found = within_rates(x, u, hold, c.inertia, rate)
     assert torch.equal(found[THRUST], u[THRUST])
-
-    def quickens(omega: Tensor) -> Tensor:
-        """Euler's equations, with torque."""
-        return (found[TORQUE] - torch.linalg.cross(omega, moments * omega, dim=0)) / moments
-
-    omega, steps = x[OMEGA], 200
-    bent = torch.zeros(count, dtype=torch.float64)
+    path = [x]
     for _ in range(steps):
-        dt, k1 = hold / steps, quickens(omega)
-        k2, third = quickens(omega + dt / 2 * k1), dt / 2
-        k3 = quickens(omega + third * k2)
-        k4 = quickens(omega + dt * k3)
-        omega = omega + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        later = quickens(omega)
-        bent = bent.maximum(((later - k1) / dt).abs().amax(0))
-    beyond = omega.abs().amax(0) - rate
-    second_order = 1.01 * bent * hold**2 / 2 + 1e-12
-    assert (beyond <= second_order).all(), (beyond / second_order).max()
+        path.append(moved(path[-1], found, hold / steps, c))
+    rates = torch.stack([y[OMEGA] for y in path])
+    bent = rates.diff(n=2, dim=0).abs().amax((0, 1)) * (steps / hold) ** 2
+    second_order = 1.02 * bent * hold**2 / 2 + 1e-12
+    assert (rates[-1].abs().amax(0) - rate <= second_order).all()
     same = found[TORQUE] == u[TORQUE]
     assert same.any(1).all() and not same.all(1).any()
     # a changed torque ends at the limit, and an unchanged one was within it
-    changed = ~same
-    off = (omega.abs() - rate).abs()
-    assert (off <= second_order.expand(3, -1))[changed].all()
+    assert ((rates[-1].abs() - rate).abs() <= second_order.expand(3, -1))[~same].all()
 
 
 def test_the_condition_counts_with_the_mean_rate_of_a_hold() -> None:
@@ -358,15 +345,15 @@ def test_a_filter_without_a_known_check_is_refused_unless_that_is_asked_for(
     assert SafetyFilter(c, RtaParameters(filter="paper")).check is None
 
 
-def test_what_error_bounds_leave_unchecked_is_said() -> None:
-    for bounds, missing in (
-        ({"minimum_thrust": 0.6}, "motion"),
-        ({"torque_gain": 0.5, "rate": 0.05}, "attitude"),
-    ):
-        with pytest.raises(ValueError, match=f"^no check is known of {missing}: .+; .*unverified = true"):
-            RobustFilter(C, uncertainty=Uncertainty(**bounds))
-        found = RobustFilter(C, RtaParameters(unverified=True), uncertainty=Uncertainty(**bounds))
-        assert found.checked == (missing != "motion", missing != "attitude")
+@pytest.mark.parametrize(
+    ("bounds", "missing"),
+    [({"minimum_thrust": 0.6}, "motion"), ({"torque_gain": 0.5, "rate": 0.05}, "attitude")],
+)
+def test_what_error_bounds_leave_unchecked_is_said(bounds: dict[str, float], missing: str) -> None:
+    with pytest.raises(ValueError, match=f"^no check is known of {missing}: .+; .*unverified = true"):
+        RobustFilter(C, uncertainty=Uncertainty(**bounds))
+    found = RobustFilter(C, RtaParameters(unverified=True), uncertainty=Uncertainty(**bounds))
+    assert found.checked == (missing != "motion", missing != "attitude")
     with pytest.raises(ValueError, match=r"^no check is known: .+; \[rta\] unverified = true"):
         RobustFilter(C, uncertainty=Uncertainty(minimum_thrust=0.6, rate=1.0))
 

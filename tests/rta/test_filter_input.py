@@ -3,7 +3,6 @@
 import math
 import re
 import warnings
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,10 @@ import torch
 
 from inspection.model.attitude import norm
 from inspection.model.state import Q
-from rta.fast.filter import batched
 from rta.filter import SafetyFilter
-from rta.result import FilterResult, Status
+from rta.result import Status
 from tests.rta.test_filter import LIMIT, U, X
+from tests.support.flights import way
 
 STATE, CONTROL = X.numpy(), U.numpy()
 KINDS = {"numpy": lambda x: x, "torch": torch.from_numpy}
@@ -23,11 +22,7 @@ KINDS = {"numpy": lambda x: x, "torch": torch.from_numpy}
 
 @pytest.fixture(scope="module")
 def safety() -> SafetyFilter:
-    return batched(SafetyFilter())
-
-
-def values(result: FilterResult) -> dict[str, Any]:
-    return {field.name: getattr(result, field.name) for field in fields(result)}
+    return way("C")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -36,13 +31,13 @@ def values(result: FilterResult) -> dict[str, Any]:
 def test_the_answer_is_in_kind(safety: SafetyFilter, kind: str, precision: type, single: bool) -> None:
     columns = 3 if single else slice(40)
     x, u = (array[:, columns].astype(precision) for array in (STATE, 1.2 * CONTROL))
-    result = values(safety(KINDS[kind](x), KINDS[kind](u)))
+    result = safety(KINDS[kind](x), KINDS[kind](u))
     given, desired = (torch.from_numpy(part.astype(float)).view(len(part), -1) for part in (x, u))
     if precision is np.float32:
         given[Q] /= norm(given[Q])
     same = safety.correct(given, desired)
-    for name, expected in values(same).items():
-        found = result[name]
+    for name, expected in vars(same).items():
+        found = getattr(result, name)
         assert torch.is_tensor(found) == (kind == "torch")
         assert str(found.dtype).endswith(
             precision.__name__ if expected.is_floating_point() else str(expected.dtype)[6:]
@@ -51,8 +46,8 @@ def test_the_answer_is_in_kind(safety: SafetyFilter, kind: str, precision: type,
         assert found.shape == expected.shape
         rounding = 1e-6 if precision is np.float32 else 0.0
         np.testing.assert_allclose(np.asarray(found), expected.numpy(), rtol=rounding, atol=rounding / 1e3)
-    control = np.asarray(result["control"], dtype=float)
-    assert (abs(control) <= LIMIT.numpy()[:, 0] if single else abs(control) <= LIMIT.numpy()).all()
+    control = np.asarray(result.control, dtype=float)
+    assert (abs(control) <= (LIMIT[:, 0] if single else LIMIT).numpy()).all()
 
 
 def test_lists_and_integers_are_answered_in_float64(safety: SafetyFilter) -> None:
@@ -96,13 +91,9 @@ HALF[9, 2] += 0.1
     [
         (STATE[:15, 0], CONTROL[:, 0], "state of shape (15,): must be (16,), or (16, B)"),
         (STATE[:, 0], CONTROL[:5, 0], "desired control of shape (5,): must be (6,), or (6, B)"),
-        (STATE[:, :4].T, CONTROL[:, :4], "state of shape (4, 16): must be (16,), or (16, B) .*: transpose it"),
         (STATE[:, :4], CONTROL[:, :4].T, "desired control of shape (4, 6): .*: transpose it"),
-        (STATE[:, :4][None], CONTROL[:, :4], "state of shape (1, 16, 4)"),
         (STATE[:, :0], CONTROL[:, :0], "state of shape (16, 0)"),
-        (3.0, CONTROL[:, 0], "state of shape ()"),
         (STATE[:, :4], CONTROL[:, :3], "state of shape (16, 4) with desired control of shape (6, 3)"),
-        (STATE[:, :1], CONTROL[:, 0], "state of shape (16, 1) with desired control of shape (6,)"),
         (changed(i9=3.0), CONTROL[:, 0], "quaternion (components 6 to 9 of the state): must have length 1 to 1e-06"),
         (HALF, CONTROL[:, :4], "quaternion .* in column 2: must have length 1 to 0.0001"),
         (changed(i13=-273.15), CONTROL[:, 0], "temperature -273.15 deg C (component 13 of the state): must be above"),
@@ -110,11 +101,7 @@ HALF[9, 2] += 0.1
         (STATE[:, 0], [math.inf] * 6, "desired control holds NaN or infinity"),
         (None, CONTROL[:, 0], "state: must be a NumPy array, a PyTorch tensor or a list of numbers"),
         (STATE[:, 0], "abcdef", "desired control: must be a NumPy array"),
-        ([[1.0], 2.0], CONTROL[:, 0], "state: must be a NumPy array"),
-        (STATE[:, 0], [True] * 6, "desired control: must be a NumPy array"),
         (STATE[:, 0], CONTROL[:, 0] * 1j, "desired control of type complex128: must be float64, float32"),
-        (STATE[:, 0].astype(object), CONTROL[:, 0], "state of type object"),
-        (STATE[:, 0].astype(np.longdouble), CONTROL[:, 0], f"state of type {np.dtype(np.longdouble)}: must be"),
         (np.ma.masked_greater(STATE[:, 0], 5.0), CONTROL[:, 0], "state holds masked numbers"),
         (STATE[:, 0], torch.ones(6).to_sparse(), "desired control of layout torch.sparse_coo: must be dense"),
         (STATE[:, 0].astype(np.float16), CONTROL[:, 0], "state of type torch.float16: must be float64, float32"),

@@ -1,16 +1,16 @@
 """The set in which flights end: the laws do not leave it, and all limits are kept in it."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from inspection.model.attitude import rotation_matrix
-from inspection.model.state import OMEGA, THETA_S, E, P, Q, T, V
+from inspection.model.attitude import rotated_by, rotation_matrix
+from inspection.model.state import OMEGA, E, P, Q, T, V
 from rta.check.attitude_law import Pointing, rest_deviation
 from rta.check.commit import NoCheckError
 from rta.check.motion_law import Braking, field
@@ -20,45 +20,25 @@ from tests.oracles import moved
 from tests.rta.check.flights import EACH, ROUNDED, C, anywhere, backup, in_c, least_of, random, unit, vehicle
 
 
-def turned_by(x: Tensor, delta: Tensor, side: Tensor, roll: Tensor, flipped: Tensor, axis: str) -> Tensor:
-    """Quaternions (4, B) with the panels, -x, so far from the Sun, and the cooled axis so far rolled from z or -z."""
-    s = torch.stack((x[THETA_S].cos(), x[THETA_S].sin(), torch.zeros_like(delta)))
-    z = torch.zeros_like(s)
-    z[2] = 1.0
-    t = torch.linalg.cross(s, z, dim=0)
-    tilt = side.cos() * z + side.sin() * t
-    d = delta.cos() * s + delta.sin() * tilt
-    # Hill's z, turned along with s until it is at d
-    turned = z - (d * z).sum(0) / (1 + (d * s).sum(0)) * (s + d)
-    other = torch.linalg.cross(d, turned, dim=0)
-    e = (torch.where(flipped, -1.0, 1.0) * roll.cos()) * turned + roll.sin() * other
-    sign, index = (-1.0 if axis[0] == "-" else 1.0), "xyz".index(axis[1])
-    columns: list[Tensor] = [-d, -d, -d]  # of the body's axes in Hill's frame
-    columns[index] = sign * e
-    last = 3 - index
-    columns[last] = torch.linalg.cross(columns[(last + 1) % 3], columns[(last + 2) % 3], dim=0)
-    matrices = torch.stack(columns, 1)  # (3 in Hill's frame, 3 of the body, B)
-    return torch.from_numpy(Rotation.from_matrix(matrices.permute(2, 0, 1).numpy()).as_quat().T.copy())
-
-
 def inside(name: str, hold: float, saturates: bool, count: int, seed: int) -> Tensor:
     """Returns states in the set, two thirds of them at its boundary: of the cone, of the motion, of heat and charge."""
-    c, b = vehicle(name, saturates), backup(name, hold, saturates)
+    c, b, flight = vehicle(name, saturates), backup(name, hold, saturates), in_c(name, hold, saturates)
     s, x = b.terminal, anywhere(count, seed, c)
     draw, side = random(16, count, seed), random(3, count, seed + 1)
     kind = torch.arange(count) % 3
-    # attitude: a = (delta across d, roll) and T w any, then scaled to V = R^2 (share of it)
-    a, w = unit(draw[:3]), unit(draw[3:6]) * (1 + draw[15]) ** 2
-    delta, roll = a[:2].norm(dim=0), a[2]
+    for _ in range(math.ceil(b.early_accept.arrives / hold)):
+        x = flight(x)[0]
+    rest = x.clone()
+    # attitude: off the rest in any direction, with any rates, then scaled to V = R^2 (share of it)
+    angle, rates = unit(draw[:3]), unit(draw[3:6]) * (1 + draw[15]) ** 2 / hold
     share = torch.where(kind == 2, (1 + draw[6]) / 2, torch.ones_like(draw[6]))
-    flipped = draw[7] > 0.0
     low, high = torch.zeros(count, dtype=torch.float64), torch.full((count,), 0.2, dtype=torch.float64)
     for _ in range(50):  # halvings: V rises with the scale
         scale = (low + high) / 2
-        y = posed(x, scale * delta, torch.atan2(a[1], a[0]), scale * roll, flipped, scale * w / hold, name)
-        fits = s.room(y)[0] >= (1 - share**2) * s.radius**2
+        x[Q], x[OMEGA] = rotated_by(rest[Q], scale * angle), rest[OMEGA] + scale * rates
+        fits = s.room(x)[0] >= (1 - share**2) * s.radius**2
         low, high = torch.where(fits, scale, low), torch.where(fits, high, scale)
-    x = posed(x, low * delta, torch.atan2(a[1], a[0]), low * roll, flipped, low * w / hold, name)
+    x[Q], x[OMEGA] = rotated_by(rest[Q], low * angle), rest[OMEGA] + low * rates
     # heat and charge
     x[T] = s.hottest - torch.where(kind == 0, 0.0, 5.0 * (1 + draw[8]))
     x[E] = s.emptiest + torch.where(kind == 0, 0.0, 2.0 * (1 + draw[9]))
@@ -70,19 +50,8 @@ def inside(name: str, hold: float, saturates: bool, count: int, seed: int) -> Te
     x[P] = distance.clamp(*edges.tolist()) * unit(x[P])
     # towards the end that is nearer, or in any direction
     inwards = -unit(x[P]) * torch.where(distance < 100.0, 1.0, -1.0)
-    rest_deviation = torch.where(draw[12] > 0.0, inwards, unit(side))
-    x[V] = field(x[P], c) + (1 - 1e-9) * CALM * rest_deviation
+    x[V] = field(x[P], c) + (1 - 1e-9) * CALM * torch.where(draw[12] > 0.0, inwards, unit(side))
     return x
-
-
-def posed(
-    x: Tensor, delta: Tensor, way: Tensor, roll: Tensor, flipped: Tensor, rates: Tensor, name: str
-) -> Tensor:
-    """Returns the states with another attitude, and rates (3, B) relative to the Sun."""
-    y = x.clone()
-    y[Q] = turned_by(x, delta, way, roll, flipped, vehicle(name).thermal_axis)
-    y[OMEGA] = rates - vehicle(name).mean_motion * rotation_matrix(y[Q])[2]
-    return y
 
 
 def least_kept(x: Tensor, name: str, hold: float, saturates: bool, holds: int) -> tuple[Tensor, Tensor]:
