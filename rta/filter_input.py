@@ -42,7 +42,7 @@ class FilterInput:
         check_shape("desired control", control, CONTROL_SIZE)
         if state.shape[1:] != control.shape[1:]:
             raise ValueError(
-                f"state of shape {shown(state)} with desired control of shape {shown(control)}: "
+                f"state of shape {tuple(state.shape)} with desired control of shape {tuple(control.shape)}: "
                 "must be of equally many spacecraft"
             )
         self.c = c
@@ -86,7 +86,10 @@ class FilterInput:
     def in_kind(self, part: Tensor) -> Any:
         """Converts a field (..., B) of the filter's answer to the kind of the desired control."""
         if part.dtype != self.dtype and part.is_floating_point():
-            part = towards_zero(part, self.dtype)
+            # towards zero: rounding to nearest could exceed the actuators' limits
+            near = part.to(self.dtype)
+            beyond = near.double().abs() > part.abs()
+            part = torch.where(beyond, torch.nextafter(near, torch.zeros_like(near)), near)
         kind = part if self.tensors else part.numpy()
         return kind[..., 0][()] if self.single else kind
 
@@ -126,16 +129,6 @@ def check_shape(name: str, part: Tensor, size: int) -> None:
         return
     transpose = part.ndim == 2 and part.shape[1] == size
     raise ValueError(
-        f"{name} of shape {shown(part)}: must be ({size},), or ({size}, B) for a batch, components first"
+        f"{name} of shape {tuple(part.shape)}: must be ({size},), or ({size}, B) for a batch, components first"
         + (": transpose it" if transpose else "")
     )
-
-
-def shown(part: Tensor) -> str:
-    return str(tuple(part.shape))
-
-
-def towards_zero(x: Tensor, dtype: torch.dtype) -> Tensor:
-    """Rounds x towards zero in another precision; rounding to nearest could exceed the actuators' limits."""
-    y = x.to(dtype)
-    return torch.where(y.double().abs() > x.abs(), torch.nextafter(y, torch.zeros_like(y)), y)

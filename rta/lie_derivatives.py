@@ -52,14 +52,11 @@ class WithoutShapes(TorchFunctionMode):
 
 def with_derivative(operand: Tensor, other: Tensor) -> Tensor:
     """Returns the operand with a derivative: zeros if it has none and the other operand has one."""
-    if operand.dtype != other.dtype or depends(operand) or not depends(other):
+    if operand.dtype != other.dtype or unpack_dual(operand).tangent is not None:
+        return operand
+    if unpack_dual(other).tangent is None:
         return operand
     return torch.where(torch.zeros((), dtype=torch.bool, device=other.device), other, operand)
-
-
-def depends(operand: Tensor) -> bool:
-    """Checks whether an operand has a derivative."""
-    return unpack_dual(operand).tangent is not None
 
 
 def directional(

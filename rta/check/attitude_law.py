@@ -77,14 +77,9 @@ def overshoot(c: Limits, hold: float) -> float:
     return turned * c.max_rate * (1.0 / (1.0 - turned) + math.sqrt(0.75) * (seconds / hold) ** 2 * higher)
 
 
-def has_rest(c: Limits) -> bool:
-    """Checks whether an attitude of rest exists: panels away from the camera, the cooled surface across them."""
-    return c.solar_panel_axis == "-x" and c.thermal_axis[1] != "x"
-
-
 def check_rest(c: Limits) -> None:
-    """Raises NoCheckError without an attitude of rest."""
-    if not has_rest(c):
+    """Raises NoCheckError without an attitude of rest: panels away from the camera, the cooled surface across them."""
+    if c.solar_panel_axis != "-x" or c.thermal_axis[1] == "x":
         raise NoCheckError("there is no attitude of rest: panels must be on -x, the thermal side across them")
 
 
@@ -94,11 +89,6 @@ def vector(axis: str, x: Tensor) -> Tensor:
     parts = [torch.zeros_like(x[0])] * 3
     parts[index] = torch.full_like(x[0], sign)
     return torch.stack(parts)
-
-
-def across(a: Tensor, b: Tensor) -> Tensor:
-    """Returns a x b, (3, ...)."""
-    return torch.stack(cross(a, b))
 
 
 def upright(x: Tensor, d: Tensor, s: Tensor) -> Tensor:
@@ -116,8 +106,8 @@ def rest_deviation(x: Tensor, c: Limits) -> tuple[Tensor, Tensor, Tensor]:
     d, e = vector(c.solar_panel_axis, x), vector(c.thermal_axis, x)
     s, _ = sun_and_earth_in_body(x)
     z = upright(x, d, s)
-    off = dot(d, across(e, z))
-    return across(d, s), torch.where(dot(e, z) < 0.0, -off, off), dot(d, s)
+    off = dot(d, torch.stack(cross(e, z)))
+    return torch.stack(cross(d, s)), torch.where(dot(e, z) < 0.0, -off, off), dot(d, s)
 
 
 def wanted(x: Tensor, w: Pointing) -> Tensor:
@@ -126,7 +116,7 @@ def wanted(x: Tensor, w: Pointing) -> Tensor:
     axis, off, cosine = rest_deviation(x, w.c)
     sine = norm(axis)
     roll = (w.kappa * off).clamp(-w.roll, w.roll) * (4.0 * cosine).clamp(0.0, 1.0)
-    middle = axis - (roll * w.hold / 2) * across(d, axis)  # by the roll in the middle of the hold
+    middle = axis - (roll * w.hold / 2) * torch.stack(cross(d, axis))  # by the roll in the middle of the hold
     middle = middle * (sine / norm(middle).clamp(min=1e-12))
     rate = w.rate / middle.abs().amax(0).clamp(min=1e-12)
     rate = torch.where(cosine > 0.0, rate.clamp(max=w.kappa), rate)

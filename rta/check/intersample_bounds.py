@@ -132,32 +132,31 @@ def between(start: Tensor, end: Tensor, off: Strays, c: Limits, free: FreeFlight
     nearest, fastest = (torch.minimum(*along) - e_p).clamp(min=NEAREST), torch.maximum(*speed)
     eta = norm(end[P] - start[P]) / nearest
     sag = (2 * norm(end[V] - start[V]) * eta + 3 * fastest * eta**2) / 8 + e_v + fastest * e_p / nearest
-
-    def braking(z: Tensor) -> Tensor:
-        """Returns sqrt(2 a_max z) in m/s."""
-        return torch.where(z > 0.0, (2 * c.max_acceleration * z.clamp(min=0.0)).sqrt(), -NEVER)
-
-    def above_planes() -> Tensor:
-        """Returns sqrt(2 a_max z) + n . v in m/s for the plane whose smaller value of both ends is largest."""
-        planes = planes_of(c, start)
-        each = [braking(planes.above(y[P][:, None]) - e_p) + planes.along(y[V][:, None]) for y in ends]
-        return torch.minimum(*each).amax(0)
-
     collision, zone, limit = [], [], []
     for d, a, r, v in zip(distance, along, radial, speed, strict=True):
-        collision.append(braking(a - e_p - c.collision_radius) + r)
-        zone.append(braking(c.max_distance - d - e_p) - r)
+        collision.append(braking(a - e_p - c.collision_radius, c) + r)
+        zone.append(braking(c.max_distance - d - e_p, c) - r)
         limit.append(c.docking_speed + c.speed_slope * (a - e_p) - v)
+    separation = torch.minimum(*collision) - sag
+    if c.planes:  # of the plane whose smaller value of both ends is largest
+        planes = planes_of(c, start)
+        each = [braking(planes.above(y[P][:, None]) - e_p, c) + planes.along(y[V][:, None]) for y in ends]
+        separation = torch.minimum(*each).amax(0) - e_v
     axes = c.max_speed - torch.maximum(start[V].abs(), end[V].abs()) - e_v
     return torch.stack(
         (
-            above_planes() - e_v if c.planes else torch.minimum(*collision) - sag,
+            separation,
             torch.minimum(*limit) - e_speed,
             torch.minimum(*zone) - sag,
             clearance(start, end, e_p, e_v, torch.maximum(*distance), fastest, c, free),
             *axes,
         )
     )
+
+
+def braking(z: Tensor, c: Limits) -> Tensor:
+    """Returns sqrt(2 a_max z) in m/s, from which a spacecraft stops within z m."""
+    return torch.where(z > 0.0, (2 * c.max_acceleration * z.clamp(min=0.0)).sqrt(), -NEVER)
 
 
 def clearance(

@@ -21,10 +21,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from inspection.model.attitude import dot, norm, rotation_matrix
+from inspection.model.attitude import cross, dot, norm, rotation_matrix
 from inspection.model.dynamics import euler, step, sun_and_earth_in_body, temperature_rate
 from inspection.model.state import OMEGA, TORQUE, E, Q, T
-from rta.check.attitude_law import across, upright, vector
+from rta.check.attitude_law import upright, vector
 from rta.check.flight import attitude_between, incidence
 from rta.check.intersample_bounds import lowest
 from rta.robust.attitude_constants import (
@@ -98,9 +98,9 @@ def wanted(x: Tensor, w: AttitudeConstants) -> Tensor:
     """Returns the law: omega (3, ...) in rad/s, relative to Hill's frame, for states (16, ...)."""
     d, e = vector(w.c.solar_panel_axis, x), vector(w.c.thermal_axis, x)
     s, _ = sun_and_earth_in_body(x)
-    axis, cosine = across(d, s), dot(d, s)
+    axis, cosine = torch.stack(cross(d, s)), dot(d, s)
     begins, full = math.cos(BEGINS), math.cos(FULL)
-    off = (w.kappa_roll * dot(d, across(e, upright(x, d, s)))).clamp(-w.roll, w.roll)
+    off = (w.kappa_roll * dot(d, torch.stack(cross(e, upright(x, d, s))))).clamp(-w.roll, w.roll)
     roll = off * ((cosine - begins) / (full - begins)).clamp(0.0, 1.0)
     pointing = (w.rate / norm(axis).clamp(min=1e-12)).clamp(max=w.kappa)
     return pointing * axis + roll * d - w.c.mean_motion * rotation_matrix(x[Q])[2]
@@ -219,11 +219,6 @@ def followed(start: Start, w: AttitudeConstants) -> Followed:
     return Followed(sums, paces, least, farthest, maximum(errors[steps : steps + w.hold_periods]).amax(0))
 
 
-def trajectory_margin(x: Tensor, off: Spread, w: AttitudeConstants) -> Tensor:
-    """Returns a lower bound of the attitude's limits on the backup trajectory from states (16, B) at a call: (B,)."""
-    return from_here(beginning(x, off, w), w)
-
-
 def beginning(x: Tensor, off: Spread, w: AttitudeConstants) -> Start:
     """Returns the start of the backup trajectory from states (16, B)."""
     d = vector(w.c.solar_panel_axis, x)
@@ -238,8 +233,8 @@ def beginning(x: Tensor, off: Spread, w: AttitudeConstants) -> Start:
     return Start(delta + off.angle, z, rolling, off.command, off.late, hot, delta - off.angle, energy)
 
 
-def from_here(start: Start, w: AttitudeConstants) -> Tensor:
-    """Returns `trajectory_margin` from the trajectory's start."""
+def trajectory_margin(start: Start, w: AttitudeConstants) -> Tensor:
+    """Returns a lower bound of the attitude's limits on the backup trajectory from its start: (B,)."""
     c, t, delta = w.c, w.period, start.delta
     sums, paces, least, opposite, last = followed(start, w)
     gone, farthest = torch.zeros_like(delta), torch.zeros_like(delta)
@@ -269,18 +264,10 @@ def from_here(start: Start, w: AttitudeConstants) -> Tensor:
     charging = w.look.charging
     lowest_at = torch.where(returns, w.lowest_at(w.slow_near), delta.new_tensor(turned))
 
-    def spent(first: Tensor, end: Tensor) -> Tensor:
-        """Returns the kJ used while delta falls from a first to a last angle."""
-        first = torch.maximum(first, end)
-        light = first.clamp(max=right).sin() - end.clamp(max=right).sin()
-        return (draw * (first - end) - charging * light.clamp(min=0.0)) / slow
-
-    battery = (
-        start.energy
-        - c.min_energy
-        - spent(begin, lowest_at)
-        - c.energy_sun_slope * torch.minimum(begin, lowest_at)
-    )
+    first = torch.maximum(begin, lowest_at)
+    light = first.clamp(max=right).sin() - lowest_at.clamp(max=right).sin()
+    spent = (draw * (first - lowest_at) - charging * light.clamp(min=0.0)) / slow  # kJ
+    battery = start.energy - c.min_energy - spent - c.energy_sun_slope * torch.minimum(begin, lowest_at)
 
     hot, begin = start.hot, begin.clamp(min=slower)
     light = (begin - right).clamp(min=0.0) + (math.cos(slower) - begin.clamp(max=right).cos()).clamp(min=0.0)
@@ -378,15 +365,9 @@ def may_be_kept(x: Tensor, error_bound: Tensor, w: AttitudeConstants) -> Tensor:
     return lowest(torch.stack(within(x, angle, rate, angle * w.lag, w)))
 
 
-def verified(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants) -> Tensor:
-    """Returns a lower bound of the limits in a hold of controls (6, B) and on the trajectory after it: (B,)."""
-    least, start = hold_bounds(x, u, error_bound, w)
-    return torch.minimum(least, from_here(start, w))
-
-
 def has_backup_trajectory(x: Tensor, w: AttitudeConstants) -> Tensor:
     """Checks whether the law satisfies the attitude's limits from true states (16, B), whatever is measured, (B,)."""
-    none = torch.zeros_like(x[0])
+    none, late = torch.zeros_like(x[0]), torch.zeros_like(x[:2])
     # a plant's rate may be relative to the stars
-    late = torch.zeros_like(x[:2])
-    return trajectory_margin(x, Spread(none, none + w.offset, none, none, none, late), w) >= 0.0
+    spread = Spread(none, none + w.offset, none, none, none, late)
+    return trajectory_margin(beginning(x, spread, w), w) >= 0.0

@@ -85,12 +85,12 @@ class RobustCheck(Check):
         )
 
     def torque(self, y: Tensor) -> Tensor:
-        return call(attitude_law, y, self.attitude) if self.attitude else torch.zeros_like(y[:3])
+        w = self.attitude
+        return call(attitude_check.law, y[:SIZE], w, name="attitude_law") if w else torch.zeros_like(y[:3])
 
     def thrust(self, y: Tensor, torque: Tensor) -> Tensor:
-        return (
-            call(motion_law, y, torque, self.terminal_set) if self.terminal_set else torch.zeros_like(torque)
-        )
+        w = self.terminal_set
+        return call(thrust, y[:SIZE], torque, w, name="motion_law") if w else torch.zeros_like(torque)
 
     def is_safe(self, y: Tensor, u: Tensor, broken: Tensor, asked: Tensor) -> Tensor:
         attitude = motion = torch.zeros_like(asked[0])
@@ -113,19 +113,10 @@ class RobustCheck(Check):
         )
 
 
-def attitude_law(y: Tensor, w: AttitudeConstants) -> Tensor:
-    """Returns the law's torque (3, B) in N m."""
-    return attitude_check.law(y[:SIZE], w)
-
-
-def motion_law(y: Tensor, torque: Tensor, w: RobustTerminalSet) -> Tensor:
-    """Returns the law's thrust (3, B) in N while torque (3, B) is held."""
-    return thrust(y[:SIZE], torque, w)
-
-
 def keeps_attitude(y: Tensor, u: Tensor, w: AttitudeConstants) -> list[Tensor]:
     """Checks whether torque of controls (6, B) and the backup trajectory satisfy the limits, (B,) bool."""
-    return [attitude_check.verified(y[:SIZE], u, y[SIZE:], w) >= 0.0]
+    least, start = attitude_check.hold_bounds(y[:SIZE], u, y[SIZE:], w)
+    return [torch.minimum(least, attitude_check.trajectory_margin(start, w)) >= 0.0]
 
 
 def made(make: Callable[..., T], *given: Any) -> tuple[T | None, str]:

@@ -21,7 +21,7 @@ from torch import Tensor
 from inspection.model.attitude import dot, norm, unit
 from inspection.model.orbit import free_flight
 from inspection.model.state import P, V
-from rta.check.intersample_bounds import NEAREST, NEVER, lowest, nearer
+from rta.check.intersample_bounds import NEAREST, braking, lowest, nearer
 from rta.robust.terminal_set import Errors, RobustTerminalSet
 
 CHORDS, DENSER = 7, 2.0  # chords of a trajectory; S at their ends is this power of evenly spaced numbers
@@ -254,16 +254,12 @@ def between(
     stray = torch.maximum(*(e.velocity + e.ahead for e in ends))
     turned = sine * fastest * turned + fastest * turned**2 + math.sqrt(2.0) * turned * stray
 
-    def braking(z: Tensor) -> Tensor:
-        """Returns sqrt(2 a_max z) in m/s."""
-        return torch.where(z > 0.0, (2 * c.max_acceleration * z.clamp(min=0.0)).sqrt(), -NEVER)
-
     collision, zone, limit = [], [], []
     for e, d, a, b in zip(ends, distance, close, far, strict=True):
         radial = dot(e.y[V], e.y[P]) / d
         outwards = torch.where(leaves, torch.minimum(e.velocity, e.ahead + sine * e.velocity), e.velocity)
-        collision.append(braking(a - c.collision_radius) + radial - e.velocity)
-        zone.append(braking(c.max_distance - b) - radial - outwards)
+        collision.append(braking(a - c.collision_radius, c) + radial - e.velocity)
+        zone.append(braking(c.max_distance - b, c) - radial - outwards)
         limit.append(c.docking_speed + c.speed_slope * a - e.speed)
     along_axes = torch.maximum(*(e.y[V].abs() + e.velocity for e in ends))
     return torch.stack(

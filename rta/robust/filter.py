@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -46,7 +47,7 @@ class RobustFilter(SafetyFilter):
         super().__init__(c, parameters, extra)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return rebuilt, (self.c, self.parameters, self.extra, self.uncertainty)
+        return partial(type(self), uncertainty=self.uncertainty), (self.c, self.parameters, self.extra)
 
     @property
     def longest_hold(self) -> float:
@@ -120,10 +121,3 @@ class RobustFilter(SafetyFilter):
         if not self.uncertainty.is_quantised:
             return u
         return torch.cat((self.uncertainty.quantised(u[THRUST], self.c.max_thrust), u[TORQUE]))
-
-
-def rebuilt(
-    c: InspectionParameters, parameters: RtaParameters, extra: Mapping[str, Limit], bounds: Uncertainty
-) -> RobustFilter:
-    """Returns a filter made of a pickled filter's parts."""
-    return RobustFilter(c, parameters, extra, uncertainty=bounds)

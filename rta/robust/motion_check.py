@@ -116,7 +116,7 @@ def hold_bounds(y: Tensor, u: Tensor, w: RobustTerminalSet, period: float) -> Ho
     x, error_bound = y[:SIZE], y[SIZE:]
     least, grown = torch.full_like(y[0], torch.inf), [error_bound[1]]
     found = HoldBounds(least, [], [], [])
-    for k in range(calls(w)):
+    for k in range(round(w.longest / w.period)):
         given = x, u, error_bound, w, period
         x, error_bound, own = when(
             least >= 0.0, hold_period, [x, error_bound, least], *given, long=w.free.cells
@@ -129,11 +129,6 @@ def hold_bounds(y: Tensor, u: Tensor, w: RobustTerminalSet, period: float) -> Ho
         found.error_bound.append(error_bound)
         found.late.append(error_bound[1] - grown[before] if before >= 0 else error_bound[1])
     return found._replace(least=least)
-
-
-def calls(w: RobustTerminalSet) -> int:
-    """Returns for how many calls a control may be held."""
-    return round(w.longest / w.period)
 
 
 def trajectory_margin_at(y: Tensor, late: Tensor, w: RobustTerminalSet) -> Tensor:

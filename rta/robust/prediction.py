@@ -15,11 +15,6 @@ from inspection.world.uncertainty import Uncertainty
 KINDS = 4  # groups of measured quantities: position, velocity, attitude, rates
 
 
-def unsaturated(c: Limits) -> Limits:
-    """Returns the model without the saturation of rates."""
-    return replace(c, saturate_rates=False)
-
-
 def predicted(
     x: Tensor, error_bound: Tensor, u: Tensor, c: Limits, period: float, uncertainty: Uncertainty
 ) -> tuple[Tensor, Tensor]:
@@ -35,7 +30,7 @@ def predicted(
     Returns:
         States (16, B) and (4, B).
     """
-    model, t = unsaturated(c), period
+    model, t = replace(c, saturate_rates=False), period
     aside = math.sin(math.radians(uncertainty.thrust_misalignment))
     _, velocity, attitude, rate = uncertainty.radii
     error, most, twist = uncertainty.thrust_error, uncertainty.thrust[1], uncertainty.torque_error

@@ -37,7 +37,6 @@ from inspection.model.state import P, Q, V
 from inspection.world.uncertainty import Uncertainty
 from rta.check.commit import NoCheckError
 from rta.check.intersample_bounds import FreeFlight, least_stretch
-from rta.robust.prediction import unsaturated
 
 EDGE = 1.0  # m inside the zone's edge, where the field reaches its full speed inwards
 CELLS = (11, 1)  # cells of passive safety's horizon, searches in each; a prime, see `rta.check.flight`
@@ -430,6 +429,7 @@ def law(x: Tensor, w: RobustTerminalSet) -> Tensor:
 
 def thrust(x: Tensor, torque: Tensor, w: RobustTerminalSet) -> Tensor:
     """Returns the law as thrust (3, B) in N, in the body, at measured states (16, B), while torque (3, B) is held."""
-    aimed = step(x, torch.cat((torch.zeros_like(torque), torque)), w.aim, unsaturated(w.c))
+    free = replace(w.c, saturate_rates=False)
+    aimed = step(x, torch.cat((torch.zeros_like(torque), torque)), w.aim, free)
     limit = w.c.max_thrust
     return (w.c.mass * (rotation_matrix(aimed[Q]) * law(x, w)[:, None]).sum(0)).clamp(-limit, limit)
