@@ -1,6 +1,7 @@
 """States that tests begin from."""
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -22,6 +23,16 @@ IMPOSSIBLE = {
 def seeded(seed: int) -> torch.Generator:
     """Returns a generator that begins from a seed."""
     return torch.Generator().manual_seed(seed)
+
+
+def last_accepted(accepts: Callable[[Tensor], Tensor], count: int, halvings: int = 16) -> Tensor:
+    """Returns by halvings the largest share (count,) between 0 and 1 for which a function (count,) to bool is true."""
+    low, high = torch.zeros(count, dtype=torch.float64), torch.ones(count, dtype=torch.float64)
+    for _ in range(halvings):
+        share = (low + high) / 2
+        fine = accepts(share)
+        low, high = torch.where(fine, share, low), torch.where(fine, high, share)
+    return low
 
 
 def at_rest() -> Tensor:

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from torch import Tensor
 
 from inspection.model.state import E, T, V
 from tests.rta.check.flights import (
@@ -15,8 +16,9 @@ from tests.rta.check.flights import (
     safety,
     vehicle,
 )
+from tests.support.states import last_accepted
 
-COUNT, BISECTIONS, FLIGHT = 300, 16, 200.0  # states, halvings of what is scaled, s
+COUNT, FLIGHT = 300, 200.0  # states, s
 
 
 @EACH
@@ -39,13 +41,12 @@ def test_the_last_that_are_accepted_keep_the_limits(
     x[row] = good
     fit = accepts(x)
     x, good, bad = x[:, fit], good[..., fit], bad[..., fit]
-    low, high = torch.zeros_like(x[0]), torch.ones_like(x[0])
-    for _ in range(BISECTIONS):
-        share = (low + high) / 2
+
+    def towards_bad(share: Tensor) -> Tensor:
         x[row] = good + share * (bad - good)
-        fine = accepts(x)
-        low, high = torch.where(fine, share, low), torch.where(fine, high, share)
-    x[row] = good + low * (bad - good)
+        return x
+
+    x = towards_bad(last_accepted(lambda share: accepts(towards_bad(share)), x.shape[1]))
     least = torch.from_numpy(least_of(x, c, 10.0))
     for _ in range(round(FLIGHT / hold)):
         after, _, u, *_ = flight(x)

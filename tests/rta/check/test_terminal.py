@@ -18,6 +18,7 @@ from rta.check.nominal import NominalCheck
 from rta.check.terminal_set import CALM, TerminalSet, hold_error
 from tests.oracles import moved
 from tests.rta.check.flights import EACH, ROUNDED, C, anywhere, backup, in_c, least_of, random, unit, vehicle
+from tests.support.states import last_accepted
 
 
 def inside(name: str, hold: float, saturates: bool, count: int, seed: int) -> Tensor:
@@ -32,13 +33,13 @@ def inside(name: str, hold: float, saturates: bool, count: int, seed: int) -> Te
     # attitude: off the rest in any direction, with any rates, then scaled to V = R^2 (share of it)
     angle, rates = unit(draw[:3]), unit(draw[3:6]) * (1 + draw[15]) ** 2 / hold
     share = torch.where(kind == 2, (1 + draw[6]) / 2, torch.ones_like(draw[6]))
-    low, high = torch.zeros(count, dtype=torch.float64), torch.full((count,), 0.2, dtype=torch.float64)
-    for _ in range(50):  # halvings: V rises with the scale
-        scale = (low + high) / 2
-        x[Q], x[OMEGA] = rotated_by(rest[Q], scale * angle), rest[OMEGA] + scale * rates
-        fits = s.room(x)[0] >= (1 - share**2) * s.radius**2
-        low, high = torch.where(fits, scale, low), torch.where(fits, high, scale)
-    x[Q], x[OMEGA] = rotated_by(rest[Q], low * angle), rest[OMEGA] + low * rates
+
+    def off_rest(scale: Tensor) -> Tensor:
+        x[Q], x[OMEGA] = rotated_by(rest[Q], 0.2 * scale * angle), rest[OMEGA] + 0.2 * scale * rates
+        return x
+
+    most = (1 - share**2) * s.radius**2
+    x = off_rest(last_accepted(lambda scale: s.room(off_rest(scale))[0] >= most, count, 50))
     # heat and charge
     x[T] = s.hottest - torch.where(kind == 0, 0.0, 5.0 * (1 + draw[8]))
     x[E] = s.emptiest + torch.where(kind == 0, 0.0, 2.0 * (1 + draw[9]))

@@ -12,6 +12,7 @@ from rta.robust.error_tube import Node, between, trajectory_margin
 from rta.robust.terminal_set import RobustTerminalSet
 from tests.oracles import hypercube, length, motion, tensor
 from tests.rta.robust.uncertain_world import PERIOD, U1, C, World, flown
+from tests.support.states import last_accepted
 
 TERMINAL_SET = RobustTerminalSet.of(C, PERIOD, U1)
 ROUNDING = 1e-9
@@ -28,13 +29,7 @@ def edges(x: Tensor, w: RobustTerminalSet = TERMINAL_SET) -> Tensor:
     x[V] = 0.0
     fit = accepts(x, w)
     x, fast = x[:, fit], fast[:, fit]
-    low, high = torch.zeros_like(x[0]), torch.ones_like(x[0])
-    for _ in range(14):
-        share = (low + high) / 2
-        x[V] = share * fast
-        fine = accepts(x, w)
-        low, high = torch.where(fine, share, low), torch.where(fine, high, share)
-    x[V] = low * fast
+    x[V] = fast * last_accepted(lambda share: accepts(torch.cat((x[P], share * fast, x[6:])), w), x.shape[1])
     x[OMEGA] = 0.0
     return x
 
