@@ -65,11 +65,12 @@ def test_a_body_that_turns_anyhow_comes_to_rest_straight_and_when_expected() -> 
     ).all()
 
 
-def test_the_zone_is_kept_where_the_closed_form_has_a_way() -> None:
+@pytest.mark.parametrize("hold", [1.0, 10.0])
+def test_the_zone_is_kept_where_the_closed_form_has_a_way(hold: float) -> None:
     """Thrust turns a flight before r_max where a_max - v_t^2 / r, against v_r^2 / 2, is enough for the way there."""
-    x, flight = near_the_zone(2000, 3), in_c("paper", HOLD)
+    x, flight = near_the_zone(2000, 3), in_c("paper", hold)
     p, v = x[P].numpy(), x[V].numpy()
-    w, a_max = backup("paper", HOLD).braking, C.max_acceleration
+    w, a_max = backup("paper", hold).braking, C.max_acceleration
     distance = length(p)
     radial = (p * v).sum(0) / distance
     left = a_max - ((v * v).sum(0) - radial**2) / distance
@@ -78,7 +79,7 @@ def test_the_zone_is_kept_where_the_closed_form_has_a_way() -> None:
     x = x[:, suffices]
     assert x.shape[1] > 1000
     farthest, slowest = x[P].norm(dim=0), x[V].norm(dim=0)
-    for _ in range(round(150 / HOLD)):
+    for _ in range(round(150 / hold)):
         x = flight(x)[0]
         farthest, slowest = torch.maximum(farthest, x[P].norm(dim=0)), x[V].norm(dim=0)
     assert (farthest < C.max_distance).double().mean() > 0.998
