@@ -31,7 +31,7 @@ from rta.filter import SafetyFilter
 from rta.limits import Limit
 from rta.names import CONSTRAINTS
 from rta.parameters import PERIODS, RtaParameters
-from rta.result import FilterResult, Status
+from rta.result import Status
 from rta.robust.filter import RobustFilter
 from study.machine import finds_compiler
 from study.verification.starts import safe_set
@@ -64,26 +64,13 @@ def safety() -> SafetyFilter:
     return way("C" if finds_compiler() else "batched")
 
 
-@pytest.fixture(scope="module")
-def solution() -> FilterResult:
-    """Returns the program's answers."""
-    return way("batched", checked=False).correct(X, U)
-
-
-@pytest.fixture(scope="module")
-def conditions() -> tuple[Tensor, Tensor]:
-    """Returns a (13, 6, B) per actuator limit and b (13, B), which tests/rta/test_paper.py checks by differences."""
-    a, b, *_ = way("batched").program.evaluated(X)
-    return a * LIMIT, b
-
-
 # The program
 
 
-def test_slack_is_the_shortfall_of_the_condition(
-    conditions: tuple[Tensor, Tensor], solution: FilterResult
-) -> None:
-    a, b = conditions
+def test_slack_is_the_shortfall_of_the_condition() -> None:
+    program = way("batched", checked=False)
+    solution, (a, b, *_) = program.correct(X, U), program.program.evaluated(X)
+    a = a * LIMIT
     short = -((a * (solution.control / LIMIT)).sum(1) + b)
     slack = solution.status == Status.SLACK
     rounding = FEASIBLE * a.norm(dim=1)
