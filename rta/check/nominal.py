@@ -20,8 +20,8 @@ from rta.check.attitude_law import Pointing, check_rest, slew
 from rta.check.commit import ATTITUDE, LIMITS, MOTION, Check, check_frame
 from rta.check.early_accept import EarlyAccept
 from rta.check.flight import Flight, hold
-from rta.check.motion_law import DRIFT, Braking, brake
-from rta.check.terminal_set import CALM, TerminalSet
+from rta.check.motion_law import Braking, brake
+from rta.check.terminal_set import TerminalSet
 from rta.names import PAPERS
 
 KEPT = 1e-9  # margin for rounding in the unit of each limit: m/s, m, rad, deg C, kJ, rad/s
@@ -66,9 +66,7 @@ class NominalCheck(Check):
         self.terminal = TerminalSet.of(self.pointing, self.braking)
         self.flight = Flight.of(c, period, self.braking.fastest)
         self.early_accept = EarlyAccept.of(self.pointing, self.braking, self.flight, self.terminal)
-        # the field's longest time from contact with the chief to the set
-        leaving = (self.terminal.nearest - c.least_distance) / (DRIFT - CALM)
-        braking = 1.5 * self.braking.fastest / self.braking.straight + leaving
+        braking = 1.5 * self.braking.fastest / self.braking.straight + self.terminal.leaves
         self.glances = max(1, round(GLANCE / period))
         longest = max(self.early_accept.arrives, braking)
         self.max_periods = self.glances * math.ceil(longest / (self.glances * period))

@@ -50,6 +50,11 @@ class TerminalSet:
     nearest: float
     farthest: float
 
+    @property
+    def leaves(self) -> float:
+        """Returns the longest time in s that the field takes from contact with the chief to `nearest`."""
+        return (self.nearest - self.c.least_distance) / (DRIFT - CALM)
+
     @classmethod
     @cache
     def of(cls, pointing: Pointing, braking: Braking) -> "TerminalSet":
