@@ -11,7 +11,6 @@ share, without its %. A row is a label and the path of its results, "label <- fi
 rows of all words of AXES["name"], and where it has {}, of all keys that the file has in this place.
 """
 
-import csv
 import functools
 import json
 import operator
@@ -323,15 +322,6 @@ def beside_the_paper(lines: Iterable[str], arms: dict[str, Results]) -> Rows:
     return across(lines, *columns)
 
 
-def our_long() -> Rows:
-    """Yields what the agent of the long training had learned after so many interactions."""
-    with open(REFERENCE / "long/report/training.csv", newline="", encoding="utf-8") as file:
-        iqms = {(row["interactions"], row["metric"]): row["iqm"] for row in csv.DictReader(file)}
-    metrics = [METRICS[name] for name in ("score", "reward", "fuel", "time")]
-    for when in (835_584, 2_506_752, 5_013_504, 20_004_864, 50_003_968):
-        yield " | ".join([f"{when:,}", *(f"{float(iqms[f'{when}', key]):{form}}" for key, form in metrics)])
-
-
 def hidden(study: str) -> Rows:
     """Yields counts over all episodes of a study's arms."""
     columns = []
@@ -460,9 +450,7 @@ TABLES: dict[str, str | Callable[[], Rows]] = {
         [*TABLE_2, *(TABLE_3[limit] for limit in (1, 2, 3, 4, 8))],  # those that our agents violate
         papers_study(),
     ),
-    "our_long": our_long,
     "papers_hidden": lambda: hidden("our_learner"),
-    "our_hidden": lambda: hidden("from_nothing"),
     "papers_dependence": AGENTS
     + """
         {arm} | {way} <- our_learner/report/cross:{arm}.{way}
