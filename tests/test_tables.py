@@ -61,7 +61,7 @@ def test_a_wrong_number_is_found_and_renewed(
             "<!-- rows: absent -->",
             "absent -->: docs/tables.py has no such table",
         ),
-        ("<!-- rows: papers_hidden -->\n", "<!-- rows: papers_hidden -->\n\n", "19 marks"),
+        ("<!-- rows: papers_hidden -->\n", "<!-- rows: papers_hidden -->\n\n", "14 marks"),
     ],
 )
 def test_a_mark_that_leads_nowhere_is_refused(right: str, wrong: str, said: str) -> None:
