@@ -219,7 +219,6 @@ AXES: dict[str, Any] = {  # the words of a path, and others in their place in a 
     "vehicle": {"3u": "3U, 4 kg", "12u": "12U, 20 kg", "espa": "ESPA-class, 180 kg"},
     "decides": {
         "teaching": "every 10 s, no filter",
-        "without": "every second, no filter",
         "with": "every second, filter",
     },
 }
