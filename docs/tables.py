@@ -298,7 +298,7 @@ def open_settings() -> Rows:
         "std_003": "0.03 at the start",
         "std_03": "0.3 at the start",
         "std_1": "1 at the start, at most e, and a tanh on the log standard deviation, too",
-        "no_kl": "no price on the divergence of an update",
+        "no_kl": "no penalty on the divergence of an update",
         "annealed": "a rate that falls to 0",
         "faster": "a rate of 3e-4",
         "linear": "no tanh on the outputs",
