@@ -21,7 +21,7 @@ def made(**tables: dict[str, object]) -> Config:
 
 
 def test_filter_and_environment_stay_clear_of_the_hull() -> None:
-    experiment = Experiment(made(chief=HULL), 2, seconds=1.0)
+    experiment = Experiment(made(chief=HULL, inspection={"action_period": 1.0}), 2, seconds=1.0)
     env = experiment.env(2)
     for planes in (experiment.filter.c.planes, env.c.planes):
         assert len(planes) > 100

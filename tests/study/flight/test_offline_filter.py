@@ -23,7 +23,7 @@ from tests.test_main import assert_refused
 
 C = InspectionParameters()
 LIMIT = np.array(C.control_limit)
-COUNT = 2000
+COUNT = 1000
 
 
 @pytest.fixture(scope="module")
