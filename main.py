@@ -323,7 +323,7 @@ def run_study(given: Namespace) -> None:
 def run_report(given: Namespace) -> None:
     from jinja2 import UndefinedError  # for a damaged file that lacks a value
 
-    from study.machine import step
+    from study.machine import announced
     from study.report import figures, inputs, page, tables
     from study.report.compute import compute
 
@@ -331,7 +331,7 @@ def run_report(given: Namespace) -> None:
     compute(directory, given.device)
     where = f"--study {directory}: cannot read what its report is made from"
     with (
-        step("drawing the figures and the page, seconds"),
+        announced("drawing the figures and the page, seconds"),
         as_input_error(where, UndefinedError, *MALFORMED),
     ):
         found = inputs.read(directory)

@@ -33,7 +33,7 @@ from settings import InputError
 from study.config import AnyConfig, Config, recorded
 from study.errors import as_input_error
 from study.flight.fly import Starts
-from study.machine import WORTH_COMPILING_FILTER, compile_or_explain, resolve_device, step, wants_compile
+from study.machine import WORTH_COMPILING_FILTER, announced, compile_or_explain, resolve_device, wants_compile
 
 EPISODE = 3600  # s, about the length of an agent's episode
 
@@ -237,7 +237,7 @@ def test_cases(config: Config, episodes: int, seed: int) -> Starts:
         as_input_error(
             "[inspection]: no test cases, whose starts the checked filter accepts", RuntimeError, ValueError
         ),
-        step("drawing the test cases, seconds"),
+        announced("drawing the test cases, seconds"),
     ):
         accepting = filter_of(drawn_by)
         starts = InitialStates(torch.Generator().manual_seed(seed), accepting.c, accepting.is_safe)

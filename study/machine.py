@@ -43,7 +43,7 @@ PACKAGES = ("numpy", "piqp", "scipy", "tensorboard")  # beside PyTorch
 
 
 @contextmanager
-def step(what: str) -> Iterator[None]:
+def announced(what: str) -> Iterator[None]:
     """Prints on stderr what takes longer than PATIENCE; with many ranks, only the first one prints."""
     timer = Timer(PATIENCE, print, (f"{what} ...",), {"file": sys.stderr, "flush": True})
     timer.daemon = True
@@ -132,7 +132,7 @@ def finds_compiler() -> bool:
 def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
     """Compiles and returns whether this succeeded; if not, prints the reason in a line."""
     try:
-        with step(f"compiling the {what}, up to a minute"):
+        with announced(f"compiling the {what}, up to a minute"):
             compile()
     except Exception as error:  # many types: compiler missing or broken, cache full or read-only
         reason = in_one_line(f"{type(error).__name__}: {error}")[:200]

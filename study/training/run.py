@@ -133,12 +133,12 @@ class Run:
                 generator.manual_seed(int(stream.generate_state(1)[0]))
         if self.experiment.compiled and self.device.type == "cuda":  # not faster on a CPU
             compile_or_explain("learner", lambda: self.learner.compile(num_envs * train.rollout_steps))
-        self.rewarded = Adversary(self.env, train.adversary) if train.adversary else self.env
+        self.learning_env = Adversary(self.env, train.adversary) if train.adversary else self.env
         self.update, self.trained_s = 0, 0.0
-        self.lessons: JumpStart | None = None
+        self.imitation: JumpStart | None = None
         if train.jump_start:
-            lessons = self.learner, train.rollout_steps, train.lessons, generators
-            self.lessons = JumpStart(self.env, GUIDANCE[train.teacher], *lessons)
+            given = self.learner, train.rollout_steps, train.lessons, generators
+            self.imitation = JumpStart(self.env, GUIDANCE[train.teacher], *given)
         self.last_save: dict[str, float] = {}  # statistics that the next update shows
 
     def __str__(self) -> str:
@@ -171,10 +171,10 @@ class Run:
         self.exposure(transition)
         self.latest(transition)
 
-    def be_taught(self, lessons: JumpStart, stopped: Callable[[], bool]) -> None:
+    def imitate(self, imitation: JumpStart, stopped: Callable[[], bool]) -> None:
         """Runs the imitation phase in place of the first updates, and saves each batch."""
-        while not lessons.done and not stopped():
-            statistics = lessons.teach(self.watch)
+        while not imitation.done and not stopped():
+            statistics = imitation.teach(self.watch)
             self.update += 1
             self.trained_s += statistics["time/rollout_s"] + statistics["time/learning_s"]
             self.show(statistics | self.last_save)
@@ -202,8 +202,8 @@ class Run:
     def save(self) -> None:
         """Writes the checkpoint of all ranks, and each seed's policy in a file of its own."""
         own = self.state_dict()
-        if self.lessons and self.lessons.taught > 0 and not self.lessons.done:
-            own |= {"lessons": self.lessons.state_dict(), "lesson": self.lessons.latest}
+        if self.imitation and self.imitation.taught > 0 and not self.imitation.done:
+            own |= {"lessons": self.imitation.state_dict(), "lesson": self.imitation.latest}
         states = self.ranks.collect(own, self.device)
         if not states:
             return
@@ -240,10 +240,10 @@ class Run:
         if "training" in own:  # older checkpoints lack it
             self.exposure.load_state_dict(own["training"])
             self.latest.load_state_dict(own["training"])
-        if self.lessons and (state := own.get("lessons")):
+        if self.imitation and (state := own.get("lessons")):
             files = [self.directory / LESSONS / f"{i + 1}.pt" for i in range(int(state["taught"]))]
             batches = [checkpoint.load(file, ("of_ranks",), self.device)["of_ranks"] for file in files]
-            self.lessons.load_state_dict(state, [batch[self.ranks.rank] for batch in batches])
+            self.imitation.load_state_dict(state, [batch[self.ranks.rank] for batch in batches])
 
     def config_of(self, seed: int) -> Config:
         """Returns the configuration with which `train` trains this seed alone."""
@@ -299,7 +299,7 @@ class Run:
                     while self.update < train.updates and not stopped():
                         started = time.perf_counter()
                         batch = collect(
-                            self.rewarded,
+                            self.learning_env,
                             self.learner,
                             train.rollout_steps,
                             self.generators,
@@ -335,11 +335,11 @@ class Run:
         early = self.config.train.early_evaluations > 1
         if early and not self.interactions and not self.ranks.agree(self.log.begun()):
             self.evaluate()
-        if self.lessons and self.update < self.lessons.batches:
-            self.be_taught(self.lessons, stopped)
-            for batch in (self.lessons.flown, self.lessons.latest):  # both are large
+        if self.imitation and self.update < self.imitation.batches:
+            self.imitate(self.imitation, stopped)
+            for batch in (self.imitation.flown, self.imitation.latest):  # both are large
                 batch.clear()
-            if early and self.lessons.done:
+            if early and self.imitation.done:
                 self.evaluate()
 
     def after_update(self, statistics: dict[str, float]) -> None:

@@ -29,7 +29,7 @@ from study.files import write_json, write_npz
 from study.flight.controllers import agent
 from study.flight.fly import Observer, Progress, Starts, fly
 from study.flight.summary import upper_bound
-from study.machine import bar, step
+from study.machine import announced, bar
 from study.verification.adversaries import Greedy, adversarial, attacked, held_at_random, learned
 from study.verification.counter_examples import counter_example
 from study.verification.findings import Campaign, report_in, table
@@ -86,7 +86,7 @@ def run(
         number, first = divmod(report["episodes"], campaign.batch_size)
         batch_seed = np.random.SeedSequence((campaign.seed, number)).generate_state(1)[0]
         seed_of_starts, seed_of_controls, seed_of_plants = spawned(int(batch_seed), 3)
-        drawing = step("drawing the starts, some seconds a batch")
+        drawing = announced("drawing the starts, some seconds a batch")
         with as_input_error(blamed(config), RuntimeError), drawing:
             x, priority, rejected = starts(seed_of_starts)
         count = min(campaign.batch_size - first, episodes - report["episodes"])
@@ -261,7 +261,7 @@ def exported(experiment: Experiment, filter_in: str) -> Safety:
         raise InputError(f"--filter {filter_in}: runs on a CPU only; add --device cpu")
     with (
         as_input_error(f"--filter {filter_in}: cannot be compiled", NoCompilerError),
-        step("compiling it, seconds"),
+        announced("compiling it, seconds"),
     ):
         in_c = InC(experiment.filter)
     return dataclasses.replace(experiment.safety, correct=in_c.correct)

@@ -34,7 +34,7 @@ from study.errors import as_input_error
 from study.experiment import filter_of, plant_numbers, test_cases
 from study.export import policy as agent
 from study.files import write_text
-from study.machine import step
+from study.machine import announced
 from study.web import module
 from study.web.template import drawn, embedded, packed, render
 
@@ -83,7 +83,7 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
     c, errs = config.inspection, not config.plant.is_nominal
     nominal = replace(config, plant=PlantParameters(), uncertainty=NO_UNCERTAINTY)
     erring = replace(config, plant=replace(config.plant, errors="worst"))
-    with step("printing and compiling the filters, two minutes"):
+    with announced("printing and compiling the filters, two minutes"):
         filters = [filter_of(replace(nominal, rta=replace(config.rta, period=period))) for period in PERIODS]
         robust = [filter_of(erring)] if errs else []
         worlds = [world(nominal, filters), *(world(erring, robust) for _ in robust)]

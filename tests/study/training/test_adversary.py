@@ -59,10 +59,10 @@ def test_the_reward_is_the_nearness_of_the_nearest_attacked_limit() -> None:
 
 
 def test_an_adversary_learns_from_its_own_reward(trained: Run) -> None:
-    assert isinstance(trained.rewarded, Adversary) and trained.update == 2
+    assert isinstance(trained.learning_env, Adversary) and trained.update == 2
     assert trained.config.train.adversary == ATTACKED
     again = training.resume(trained.directory)
-    assert isinstance(again.rewarded, Adversary)
+    assert isinstance(again.learning_env, Adversary)
     for name, value in trained.state_dict()["policy"].items():
         assert torch.equal(value, again.state_dict()["policy"][name])
     again.config = dataclasses.replace(
