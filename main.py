@@ -821,11 +821,10 @@ def run(given: Namespace) -> None:
 
 
 def complain(reason: str, code: int) -> int:
-    """Prints an error line on stderr, of bad input only on the first rank; returns the exit code."""
-    from ppo.distributed import is_first
-
-    if is_first() or code != 2:
-        print(f"error: {in_one_line(reason)}", file=sys.stderr)
+    """Prints an error line on stderr, with many ranks on each of them; returns the exit code."""
+    rank = os.environ.get("RANK", "0")
+    where = f"rank {rank}: " if rank != "0" else ""
+    print(f"error: {where}{in_one_line(reason)}", file=sys.stderr)
     return code
 
 

@@ -110,9 +110,9 @@ class InspectionEnv(Fixed):
         self.progress = 1.0
         self.time = self.x.new_zeros(batch)
         self.totals = self.x.new_zeros(3, batch)  # reward, delta v, torque
-        self.steps = self.time.long()
+        self.steps = self.x.new_zeros(batch, dtype=torch.int64)
         self.violation_steps = self.steps.new_zeros(len(self.safety.names), batch)
-        self.any_violation_steps = self.steps.clone()
+        self.any_violation_steps = self.steps.new_zeros(batch)
         # functions of states column by column, which `compile` replaces
         if self.plant:
             self._integrate = partial(self.plant.integrate, duration=self.clocks.step)

@@ -49,11 +49,11 @@ class Sight:
         count = self.points.shape[1]
         clusters = chief.max_clusters(self.surface.normals, c, self.tumbling is not None)
         self.priority = torch.zeros(3, batch, dtype=torch.float64, device=device)
-        self.uninspected = self.priority.clone()
+        self.uninspected = self.priority.new_zeros(3, batch)
         self.weights = self.priority.new_zeros(count, batch)
-        self.inspected = self.weights.bool()
+        self.inspected = self.priority.new_zeros(count, batch, dtype=torch.bool)
         self.centres = self.priority.new_zeros(3, clusters, batch, dtype=torch.float32)
-        self.alive = self.centres[0].bool()
+        self.alive = self.priority.new_zeros(clusters, batch, dtype=torch.bool)
         # functions of states column by column, which `compile` replaces
         whole = (
             partial(in_view, self.surface) if self.tumbling else partial(chief.in_view, self.surface.normals)

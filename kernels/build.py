@@ -144,7 +144,11 @@ def made(sources: Mapping[str, str]) -> ctypes.CDLL:
     """Builds a library of which no file remains; raises NoCompilerError if that fails."""
     try:
         with tempfile.TemporaryDirectory(prefix=WORK, ignore_cleanup_errors=True) as work:
-            return ctypes.CDLL(str(built(sources, Path(work))))
+            path = built(sources, Path(work))
+            try:
+                return ctypes.CDLL(str(path))
+            except OSError as error:
+                raise NoCompilerError(f"what {compilers()[0][0]} built cannot be loaded: {error}") from error
     except NoCompilerError:
         raise
     except OSError as error:

@@ -22,7 +22,15 @@ def remembered(function: Callable[P, R], *given: P.args, **named: P.kwargs) -> R
     name = digest(function, given, named) if directory else None
     if directory is None or name is None:
         return function(*given, **named)
-    found = kept(directory, name, ".recorded", lambda path: pickle.loads(path.read_bytes()))
+
+    def load(path: Path) -> R:
+        content = path.read_bytes()
+        try:
+            return pickle.loads(content)
+        except Exception as error:  # the file may hold anything
+            raise OSError(f"damaged ({error})") from error
+
+    found = kept(directory, name, ".recorded", load)
     if found is not None:
         return found
     result = function(*given, **named)

@@ -206,8 +206,15 @@ def record(
         values=values,
         long=long,
         dtypes=[y.dtype for y in listed],
-        like=(lambda x: x[0]) if isinstance(returned, Tensor) else getattr(returned, "_make", list),
+        like=like(returned),
     )
+
+
+def like(returned: Any) -> Callable[[Sequence[Any]], Any]:
+    """Returns how a list of results becomes what a function returns: a tensor, a named tuple or a list."""
+    if isinstance(returned, Tensor):
+        return lambda results: results[0]
+    return getattr(returned, "_make", list)
 
 
 def told_apart(given: Any) -> Any:

@@ -18,12 +18,13 @@ from torch import Tensor
 
 from ppo.errors import RankLostError
 
+LAUNCHED = "TORCHELASTIC_RUN_ID"  # is in the environment of what torchrun started
 PATIENCE = timedelta(hours=1)  # the other ranks wait this long while the first rank evaluates
 
 
 def is_first() -> bool:
     """Checks whether this process is rank 0, without contacting the other ranks."""
-    return os.environ.get("RANK", "0") == "0"
+    return LAUNCHED not in os.environ or os.environ["RANK"] == "0"
 
 
 @contextmanager
@@ -112,7 +113,7 @@ ALONE = Ranks()
 @functools.cache
 def ranks() -> Ranks:
     """Returns the ranks of this job; the first call connects to the others."""
-    if os.environ.get("WORLD_SIZE", "1") == "1":
+    if LAUNCHED not in os.environ or os.environ["WORLD_SIZE"] == "1":
         return ALONE
     backend = "cpu:gloo,cuda:nccl" if torch.cuda.is_available() else "gloo"
     dist.init_process_group(backend, timeout=PATIENCE)

@@ -188,9 +188,16 @@ class StudyConfig(Config):
         return range(self.train.seed, self.train.seed + self.study.seeds)
 
     def of_arm(self, name: str) -> Config:
-        """Returns the configuration of a training run of the arm's first seed."""
+        """Returns the configuration of a training run of the arm's first seed.
+
+        If the arm's filter is of another kind than the study's, the study's solver does not apply to the arm.
+        """
         shared = Config(*(getattr(self, part.name) for part in dataclasses.fields(Config)))
-        return override(shared, self.all_arms[name], f"[arms.{name}]")
+        tables = self.all_arms[name]
+        rta = tables.get("rta", {})
+        if rta.get("filter", shared.rta.filter) != shared.rta.filter:
+            tables = {**tables, "rta": {"qp_solver": "auto", **rta}}
+        return override(shared, tables, f"[arms.{name}]")
 
 
 AnyConfig = TypeVar("AnyConfig", bound=Config)

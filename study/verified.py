@@ -138,8 +138,10 @@ class Flown:
 
     @property
     def large(self) -> bool:
-        """Tells whether the episodes are long and many enough to count."""
-        return self.report["episodes"] >= EPISODES and self.report["campaign"]["duration"] >= DURATION
+        """Tells whether the episodes count: long and many enough, and begun anywhere in the safe set."""
+        campaign = self.report["campaign"]
+        enough = self.report["episodes"] >= EPISODES and campaign["duration"] >= DURATION
+        return enough and campaign.get("starts", "anywhere") == "anywhere"
 
 
 def reports(filters: Sequence[str] = ("python",)) -> Iterator[Flown]:

@@ -148,7 +148,11 @@ def header(safety_filter: SafetyFilter, verified: str, configuration: str, sourc
         f'#define SAFETY_FILTER_VERSION "{VERSION}"',
         f'#define SAFETY_FILTER_CONFIGURATION "{configuration}" /* SHA-256 */',
         f'#define SAFETY_FILTER_SOURCE "{source}" /* SHA-256 of safety_filter.c */',
-        define("SAFETY_FILTER_VERIFIED", int(not verified.startswith("NOT")), "1: by the campaigns above"),
+        define(
+            "SAFETY_FILTER_VERIFIED",
+            int(not verified.startswith("NOT VERIFIED")),
+            "1: by the campaigns above",
+        ),
         "",
         interface(safety_filter),
         enumeration("state", "STATE_", list(STATE.items())),

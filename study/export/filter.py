@@ -65,8 +65,9 @@ def of_campaign(flown: Flown) -> str:
     """Describes a campaign in a line."""
     report, campaign = flown.report, flown.report["campaign"]
     form = {"python": "in Python", "c": "in C"}
+    starts = " next to limits" if campaign.get("starts") == "limits" else ""
     return (
-        f"  {shown(flown.path)}: {campaign['policy']}, {report['episodes']:,} episodes of {campaign['duration']:,} s "
-        f"{form[campaign.get('filter', 'python')]}, {flown.violating:,} with a violation, "
+        f"  {shown(flown.path)}: {campaign['policy']}, {report['episodes']:,} episodes of {campaign['duration']:,} s"
+        f"{starts} {form[campaign.get('filter', 'python')]}, {flown.violating:,} with a violation, "
         f"{report['unsolved']:,} calls unsolved"
     )

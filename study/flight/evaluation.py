@@ -97,8 +97,8 @@ RAW_QUANTITIES = (
 def raw_quantities(x: Tensor) -> Tensor:
     """Returns RAW_QUANTITIES of states (16, B), signed so that the smallest is the worst: (8, B)."""
     sun_angle = sun_and_earth_in_body(x)[0][0].clamp(-1.0, 1.0).arccos().rad2deg()
-    distance, speed, rate = norm(x[P]), x[V].abs().amax(0), x[OMEGA].abs().amax(0).rad2deg()
-    return torch.stack((distance, -distance, -norm(x[V]), -speed, sun_angle, -x[T], x[E], -rate))
+    distance, component, rate = norm(x[P]), x[V].abs().amax(0), x[OMEGA].abs().amax(0).rad2deg()
+    return torch.stack((distance, -distance, -norm(x[V]), -component, sun_angle, -x[T], x[E], -rate))
 
 
 class Extremes(Observer):

@@ -49,8 +49,10 @@ def compute(study: Path, device: str | None = None) -> None:
                 started = time.perf_counter()
                 content = make()
                 if name.endswith(".npz"):  # single precision is enough for figures and replays
-                    single = {np.dtype(np.float64): np.float32}
-                    content = {key: a.astype(single.get(a.dtype, a.dtype)) for key, a in content.items()}
+                    content = {
+                        key: array.astype(np.float32) if array.dtype == np.float64 else array
+                        for key, array in content.items()
+                    }
                 WRITE[Path(name).suffix](directory / name, content)
                 print(f"{directory / name}: {time.perf_counter() - started:.0f} s", flush=True)
 

@@ -88,15 +88,20 @@ class Run:
         self.seed_dirs = [directory] if seeds is None else [directory / f"seed{seed}" for seed in seeds]
         self.learners = self.ranks if seeds is None else ALONE
         num_envs, own = train.num_envs // self.learners.size, slice(0, 1)
-        with as_input_error("torchrun", ValueError):
-            if seeds is not None:
+        if seeds is not None:
+            with as_input_error(f"torchrun: [study] seeds = {len(seeds)}", ValueError):
                 own = self.ranks.share(len(seeds))
+        with as_input_error("torchrun", ValueError):
             for name, count in (
                 ("[train] num_envs", train.num_envs),
                 ("[ppo] minibatch_size", ppo.minibatch_size),
             ):
                 if count % self.learners.size:
                     raise ValueError(f"{name} = {count}: must be a multiple of the {self.ranks.size} ranks")
+            if ppo.minibatch_size < 2 * self.learners.size:
+                raise ValueError(
+                    f"[ppo] minibatch_size = {ppo.minibatch_size}: must be at least 2 for each of the ranks"
+                )
         own_seeds = self.seeds[own]
         seconds = train.updates * train.rollout_steps * config.inspection.action_period
         self.experiment = Experiment(config, num_envs * len(own_seeds), seconds)
@@ -207,18 +212,20 @@ class Run:
         states = self.ranks.collect(own, self.device)
         if not states:
             return
-        if any(lessons := [state.pop("lesson", {}) for state in states]):
+        lessons = [state.pop("lesson", {}) for state in states]
+        if any(lessons):
             folder = self.directory / LESSONS
             folder.mkdir(exist_ok=True)
             checkpoint.save(folder / f"{own['lessons']['taught']}.pt", {"of_ranks": lessons})
         first, *others = states
-        whole = first | {"config": to_toml(self.config)} | ({"others": others} if others else {})
+        whole = first | {"config": to_toml(self.config)}
+        if others:
+            whole["others"] = others
         checkpoint.save(self.directory / CHECKPOINT, whole)
-        policies = [
-            {name: stacked[k : k + 1].clone() for name, stacked in state["policy"].items()}
-            for state in (states if self.learners is ALONE else states[:1])
-            for k in range(len(state["generators"]))
-        ]
+        policies = []
+        for state in states if self.learners is ALONE else states[:1]:
+            for k in range(len(state["generators"])):
+                policies.append({name: each[k : k + 1].clone() for name, each in state["policy"].items()})
         for seed, home, policy in zip(self.seeds, self.seed_dirs, policies, strict=True):
             checkpoint.save(home / "policy.pt", {"policy": policy, "config": to_toml(self.config_of(seed))})
         if "lessons" not in first:  # the phase is over, and the checkpoint says so
@@ -229,7 +236,8 @@ class Run:
         states = [saved, *saved.get("others", ())]
         if len(states) != self.ranks.size:
             raise InputError(
-                f"{self.directory}: {len(states)} ranks trained it; it continues with as many, not {self.ranks.size}"
+                f"{self.directory}: was trained by {len(states)} ranks; must continue with as many, not "
+                f"{self.ranks.size}"
             )
         own = states[self.ranks.rank]
         self.learner.load_state_dict(own)
@@ -242,8 +250,10 @@ class Run:
             self.latest.load_state_dict(own["training"])
         if self.imitation and (state := own.get("lessons")):
             files = [self.directory / LESSONS / f"{i + 1}.pt" for i in range(int(state["taught"]))]
-            batches = [checkpoint.load(file, ("of_ranks",), self.device)["of_ranks"] for file in files]
-            self.imitation.load_state_dict(state, [batch[self.ranks.rank] for batch in batches])
+            batches = [checkpoint.load(file, (), self.device) for file in files]
+            # files of an older run hold the data of one rank
+            own_batches = [batch.get("of_ranks", [batch])[self.ranks.rank] for batch in batches]
+            self.imitation.load_state_dict(state, own_batches)
 
     def config_of(self, seed: int) -> Config:
         """Returns the configuration with which `train` trains this seed alone."""

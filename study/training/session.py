@@ -99,7 +99,7 @@ def settings(directory: Path) -> Config:
 
 
 def start(config: Config, directory: Path, init_from: Path | None = None) -> Run:
-    """Starts a fresh run in a directory without one; from now on its solver is part of its configuration.
+    """Starts a fresh run in a directory without one.
 
     Args:
         init_from: the file of an agent to start from, policy.pt or checkpoint.pt; None: random weights.
@@ -181,7 +181,7 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
     with as_input_error(str(path), KeyError, TypeError, ValueError, AttributeError):
         trained = from_toml(saved["config"], str(path), Config())
         done, rate = int(saved["update"]), trained.ppo.learning_rate
-    config, trained = (settled(each) for each in (config, trained))  # an older run may not be settled
+    config, trained = (settled(each) for each in (config, trained))  # an older run may lack the mesh's digest
     before, total = trained.train, config.train.interactions
     moved = seeds is None and total != before.interactions
     free: dict[str, Any] = (

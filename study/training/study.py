@@ -102,7 +102,7 @@ def overview(results: dict[str, Results]) -> str:
 def begin_or_continue(config: StudyConfig, directory: Path) -> None:
     """Begins a study in its directory; raises InputError if it holds other files or a study with other settings."""
     before = read_settings(directory)
-    before = before and settled(before)  # an older study may not be settled
+    before = before and settled(before)  # an older study may lack the mesh's digest
     if before is None:
         with as_input_error(f"--study-dir {directory}: cannot write there", OSError, ValueError):
             check_directory(directory)

@@ -3,7 +3,6 @@
 import dataclasses
 import shlex
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -104,9 +103,8 @@ def report_in(
 def of_the_same(before: dict[str, Any], config: Config, path: Path) -> bool:
     """Tells whether the tables of a file describe the same plant and filter; their other settings concern training."""
     held = override(Config(), of_today(before), str(path))
-    held = replace(
-        held, rta=replace(held.rta, qp_solver=config.rta.qp_solver)
-    )  # any solver has the same answers
+    # any solver has the same answers
+    held = dataclasses.replace(held, rta=dataclasses.replace(held.rta, qp_solver=config.rta.qp_solver))
     parts = "inspection", "rta", "plant", "uncertainty"
     same = all(getattr(held, part) == getattr(config, part) for part in parts)
     return same and of_hull(held.chief) == of_hull(config.chief)

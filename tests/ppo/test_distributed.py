@@ -151,7 +151,7 @@ def test_a_lost_rank_leaves_one_line_and_a_checkpoint(done: tuple[Path, str, str
     assert line.startswith("error: update 3: another rank ended (")
     assert line.endswith(f"; last good checkpoint: {path}")
     assert "Traceback" not in errors
-    with pytest.raises(InputError, match="2 ranks trained it; it continues with as many, not 1"):
+    with pytest.raises(InputError, match="trained by 2 ranks; must continue with as many, not 1"):
         training.resume(directory / "lost")
     assert state(directory / "lost")["update"] == 2
 

@@ -96,6 +96,7 @@ def test_what_differs_is_said_with_both_values(tables: dict[str, Any], words: li
         ({"episodes": 999}, False),
         ({"campaign": {"policy": "adversarial", "duration": 1999}}, False),
         ({"campaign": {"policy": "checkpoint:x.pt", "duration": 2000}}, False),
+        ({"campaign": {"policy": "adversarial", "duration": 2000, "starts": "limits"}}, False),
         ({"violating_episodes": {"any": 1}}, False),
         ({"gains": "0123456789ab"}, False),
     ],
