@@ -539,7 +539,7 @@ TABLES: dict[str, str | Callable[[], Rows]] = {
         U1, every error steady at a corner | pressing <- verification/u1_steady_pressing
         U1, every error steady at a corner | adversarial <- verification/u1_steady_adversarial
         U1, the worst errors at every call | {worst} <- verification/u1_worst_{worst}
-        U1, minimum impulse | adversarial <- verification/u1_minimum_thrust
+        U1, smallest thrust | adversarial <- verification/u1_minimum_thrust
         U1, quanta | adversarial <- verification/u1_thrust_quantum
     """,
     "vehicles": CAMPAIGNS + "{vehicle} | {policy} <- verification/{vehicle}_{policy}",

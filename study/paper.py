@@ -110,7 +110,7 @@ def tables(results: Results) -> str:
     rta = results["rta"]
     if rta["period_s"] is not None:
         lines.append(
-            f"RTA at {rta['period_s']:g} s: intervened at {rta['intervention_percent']:.2f} % of its calls, "
+            f"RTA at {rta['period_s']:g} s: corrected {rta['intervention_percent']:.2f} % of its calls, "
             f"{rta['qp_failures']} unsolved problems"
         )
     else:
