@@ -106,8 +106,8 @@ def read(path: Path) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("keys", "arm", "flags"),
     [
-        (("cross", "no_rta", "on"), "no_rta", f"--rta --qp-solver batched --episodes {CASES}"),
-        (("frequency", "5"), "rta", f"--rta-period 5 --qp-solver batched --episodes {CASES}"),
+        (("cross", "no_rta", "on"), "no_rta", f"--rta --episodes {CASES}"),
+        (("frequency", "5"), "rta", f"--rta-period 5 --episodes {CASES}"),
         (("worlds", "harsh", "rta", "robust"), "rta", "--config told.toml --episodes 1"),
         (("worlds", "nominal", "no_rta", "off"), "no_rta", "--episodes 1"),
     ],
@@ -165,7 +165,7 @@ def test_episodes_are_those_of_simulate(rta: bool, study: Path, tmp_path: Path) 
     settings = tmp_path / "settings.toml"  # as the study has them
     settings.write_text(f"[inspection]\naction_period = {DURATION}\nmax_time = {DURATION}")
     classical += ["--config", str(settings)]
-    filtered = ["--rta" if rta else "--no-rta", "--rta-period", "1", "--qp-solver", "batched"]
+    filtered = ["--rta" if rta else "--no-rta", "--rta-period", "1"]
     for name, flags in (("episode", agent), ("demonstration", classical)):
         arguments = ["simulate", *flags, *filtered, "--duration", str(DURATION), "--out"]
         assert main.main([*arguments, str(tmp_path / "one.npz")]) == 0
