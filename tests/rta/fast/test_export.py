@@ -261,7 +261,10 @@ def test_it_refuses_flags_that_take_nan_away(
 
 
 @pytest.mark.campaign
-def test_filters_of_two_prefixes_fit_into_one_program(tmp_path: Path) -> None:
+def test_filters_of_two_prefixes_fit_into_one_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(vectors, "batched", fast)  # see `exported`
     gcc, safety_filter = tool("gcc"), made("1")
     for prefix in ("near", "far_away"):
         texts = write(safety_filter, tmp_path / prefix, prefix=prefix)
