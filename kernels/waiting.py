@@ -90,7 +90,7 @@ def once(waits: Waits) -> list[str]:
     return [
         *RECORDS,
         *(f"        {line}" for line in declared("", callee.inputs)),
-        *(f"        {element} = {AT[place[0]]}_AT({place[2:-1]});" for element, place in waits.arguments),
+        *(f"        {element} = {load(place)};" for element, place in waits.arguments),
         *(f"        {line}" for line in called(waits)),
         *store([(place, f"next_{element}") for element, place in waits.results]),
         "    }",
@@ -188,8 +188,13 @@ def loads(frame: Frame, s: int) -> list[str]:
     lines += [line for line in arrays if line.split()[1].split("[")[0] in wanted]
     for text, each in texts:
         start = "" if "[" in text else f"const {LETTER[each.kind]} "
-        lines.append(f"{start}{text} = {AT[each.kind[0]]}_AT({frame.places[each.index][2:-1]});")
+        lines.append(f"{start}{text} = {load(frame.places[each.index])};")
     return [f"        {line}" for line in lines]
+
+
+def load(place: str) -> str:
+    """Returns the expression that reads a place of W records."""
+    return f"{AT[place[0]]}_AT({place[2:-1]})"
 
 
 def store(kept: Sequence[Placed], wants: str = "") -> list[str]:

@@ -1,7 +1,7 @@
 """An experiment, built once from its configuration: device, filter, environments and policies."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from columns import if_long
 from inspection.chief.hull import with_hull
 from inspection.chief.mesh import with_digest
 from inspection.chief.surface import surface
@@ -104,6 +105,13 @@ class Experiment:
         from kernels.compiled import Compiled
 
         return Compiled
+
+    def of_states(self, function: Callable[[Tensor], list[Tensor]]) -> Callable[[Tensor], list[Tensor]]:
+        """Returns a function of states (16, B), compiled if the filter is."""
+        if not self.filter_compiled:
+            return function
+        example, planes = self.filter.probe(self.device)[0], self.filter.c.planes
+        return self.compiler(function, example, long=if_long(len(planes)))
 
     def generators(self, seeds: Sequence[int] = (0,)) -> list[torch.Generator]:
         """Returns one generator per seed, on the device."""

@@ -51,18 +51,6 @@ def kernels_cache(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPath
         yield directory
 
 
-@pytest.fixture(scope="module")
-def long_flights(kernels_cache: Path) -> Iterator[None]:
-    """Libraries that are optimised a little, where flights take longer than the compiler."""
-    with pytest.MonkeyPatch.context() as patch:
-        if find_spec("kernels"):
-            from kernels import build
-            from tests.optimised import LONG
-
-            patch.setattr(build, "FLAGS", LONG)
-        yield
-
-
 @pytest.fixture(autouse=True)
 def patience(monkeypatch):
     """Keeps bars and what is said of long steps out of stderr, however busy the machine is."""

@@ -5,9 +5,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from columns import if_long
 from inspection.closed_loop import Controller
-from inspection.environment import Compiler, InspectionEnv
+from inspection.environment import InspectionEnv
 from inspection.model.dynamics import step
 from inspection.model.parameters import Model
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
@@ -24,6 +23,7 @@ GROUPS = (
     (slice(len(TRANSLATIONAL), len(TRANSLATIONAL) + len(ATTITUDE)), TORQUE),
 )
 NO_INFLUENCE = 1e-9  # in h's unit per s and actuator limit; a group does not change shorter rows
+Rows = Callable[[Tensor], list[Tensor]]
 LONGEST_ACTION = 60  # s, longest hold of an action of the random policy
 
 
@@ -64,10 +64,15 @@ def learned(
     return control
 
 
-def adversarial(safety_filter: SafetyFilter, compiler: Compiler | None = None) -> Controller:
+def adversarial(
+    safety_filter: SafetyFilter, compiled: Callable[[Rows], Rows] = lambda rows: rows
+) -> Controller:
     """Returns a controller of full control along the steepest descent of the worst thrust row and worst torque row.
 
     The worst row is the one that zero control is closest to violating, in units of the actuators' limits.
+
+    Args:
+        compiled: compiles a function of states, see `Experiment.of_states`.
     """
 
     def worst_rows(x: Tensor) -> list[Tensor]:
@@ -81,9 +86,7 @@ def adversarial(safety_filter: SafetyFilter, compiler: Compiler | None = None) -
             worst.append(a[:, own].gather(0, distance.argmin(0).expand(1, 3, -1))[0])
         return worst
 
-    rows_at: Callable[[Tensor], list[Tensor]] = worst_rows
-    if compiler:
-        rows_at = compiler(worst_rows, safety_filter.probe()[0], long=if_long(len(safety_filter.c.planes)))
+    rows_at = compiled(worst_rows)
 
     def control(t: float, x: Tensor) -> Tensor:
         halves = [-row / row.abs().amax(0).clamp(min=1e-12) for row in rows_at(x)]

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from columns import if_long
 from inspection.closed_loop import Controller, Safety
 from inspection.environment import InspectionEnv
 from inspection.model.attitude import unit
@@ -127,14 +126,7 @@ def supply_of_starts(
     safety_filter, batch = experiment.filter, campaign.batch_size
     if campaign.starts == "anywhere":
         return lambda seed: initial_states(batch, seed, safety_filter)
-
-    def values(x: Tensor) -> list[Tensor]:
-        return [barriers(x, safety_filter)]
-
-    barriers_at: Callable[[Tensor], list[Tensor]] = values
-    if experiment.filter_compiled:
-        example, long = safety_filter.probe(experiment.device)[0], if_long(len(safety_filter.c.planes))
-        barriers_at = experiment.compiler(values, example, long=long)
+    barriers_at = experiment.of_states(lambda x: [barriers(x, safety_filter)])
 
     def next_to_limits(seed: int) -> tuple[Tensor, Tensor, int]:
         found = near_limits(batch, seed, safety_filter, lambda x: barriers_at(x)[0], experiment.device)
@@ -170,7 +162,7 @@ def commanding(
     if campaign.policy == "random":
         return held_at_random(experiment.config.inspection, generator, batch, first)
     if campaign.policy == "adversarial":
-        return adversarial(experiment.filter, experiment.compiler if experiment.filter_compiled else None)
+        return adversarial(experiment.filter, experiment.of_states)
     if campaign.policy == "pressing":
         return greedy
     count = env.time.numel() * campaign.candidates

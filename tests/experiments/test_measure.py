@@ -17,8 +17,6 @@ from rta.parameters import RtaParameters
 from settings import override
 from study.config import Config
 
-pytestmark = pytest.mark.usefixtures("long_flights")
-
 C = InspectionParameters()
 
 
